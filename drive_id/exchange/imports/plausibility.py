@@ -37,20 +37,9 @@ _AMPLITUDES = ("current", "flux")
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def faults(points: MapPoints) -> list[str]:
-    """Describe what is implausible in a map that should be in our conventions.
-
-    Parameters
-    ----------
-    points : MapPoints
-        Converted by :func:`~.conventions.converted`.
-
-    Returns
-    -------
-    list of str
-        Parts of sentences; empty for a plausible map.
-    """
-    slopes, at_zero = local_slopes(points.i_dq, points.mean_psi_dq)
+def _faults(points: MapPoints) -> list[str]:
+    """Describe in parts of sentences what is implausible in a map that should be in our conventions."""
+    slopes, at_zero = _local_slopes(points.i_dq, points.mean_psi_dq)
     if not len(slopes):
         return ["its points lie on lines, so that they tell no inductances"]
     largest = float(np.hypot(*points.mean_psi_dq.T).max())
@@ -80,11 +69,11 @@ def check_plausible(points: MapPoints, conventions: Conventions, transposed: Cal
         When the map is implausible.
     """
     ours = converted(points, conventions)
-    found = faults(ours)
+    found = _faults(ours)
     if not found:
         return
     odd = outlier(ours.i_dq, ours.mean_psi_dq)
-    if odd is not None and not faults(_without(ours, odd)):
+    if odd is not None and not _faults(_without(ours, odd)):
         raise ConfigurationError(f"The map is not plausible: {'; '.join(found)}, which is for one point. {odd}")
     hint = _hint(points, conventions, transposed())
     raise ConfigurationError(f"The map is not plausible: {'; '.join(found)}; {hint}.")
@@ -102,7 +91,7 @@ def _hint(points: MapPoints, assumed: Conventions, transposed: MapPoints | None)
         source = transposed if turned else points
         if source is None or source.axis not in (None, other.axis):  # the file itself may state its axis
             continue
-        if not faults(converted(source, other)):
+        if not _faults(converted(source, other)):
             fitting.append(other)
     if fitting:
         options = " or ".join(f"'{other.differing(assumed)}'" for other in fitting)
@@ -123,20 +112,10 @@ def _without(points: MapPoints, odd: Message) -> MapPoints:
     return replace(points, i_dq=points.i_dq[kept], psi_dq=points.psi_dq[kept], torque=torque)
 
 
-def local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-    """Estimate incremental inductances and the flux at zero current, by planes through neighbouring points.
+def _local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    """Return inductances (M, 2, 2), H, at up to 1500 of points (N, 2) in A and Wb, by planes through neighbours.
 
-    Parameters
-    ----------
-    i_dq, psi_dq : (N, 2) float
-        A, Wb.
-
-    Returns
-    -------
-    (M, 2, 2) float
-        ``[[L_dd, L_dq], [L_qd, L_qq]]`` at up to 1500 of the points, H.
-    (2,) float or None
-        psi_dq at zero current, Wb; None when the points do not reach zero current.
+    And psi_dq at zero current (2,), Wb; None when the points do not reach zero current.
     """
     x, scale, spread = _in_steps(i_dq)
     tree = cKDTree(x)

@@ -21,17 +21,13 @@ from drive_id.messages import Message
 from drive_id.result.result import Result
 from drive_id.temperature import REFERENCE_TEMPERATURE
 
-_RPM = math.pi / 30
-_REACH = 1.25
-_FURTHEST = 4.0
-"""Largest current of an analysis relative to that of the map."""
-_LEAST_TORQUE = 1e-4
-"""Of the product of flux and current."""
-_MOST_FALLING = 0.5
-_BEYOND = 0.05
-"""Share by which the last speed must be exceeded if it is only the end of the tables."""
-_WEAKENING = 4.0
-"""Highest speed of the tables, in corner speeds."""
+_RPM = math.pi / 30  # rad/s
+_REACH = 1.25  # of the harmonics of the torque, in the larger i_max
+_FURTHEST = 4.0  # largest current of an analysis relative to that of the map
+_LEAST_TORQUE = 1e-4  # at i_max, of the product of flux and current: less counts as none
+_MOST_FALLING = 0.5  # share of the points with data at which a flux may fall with its own current
+_BEYOND = 0.05  # share by which the last speed must be exceeded if it is only the end of the tables
+_WEAKENING = 4.0  # highest speed of the tables, in corner speeds
 
 
 def analyze(result: Result | str | Path, settings: AnalysisSettings | None = None) -> Analysis:

@@ -28,16 +28,13 @@ _NARROW_ROWS = 41  # candidates of i_q on each
 _ROUGH_BISECTIONS = 12  # of i_q on each line in the first round: to choose lines
 _MIDDLE_BISECTIONS = 20  # in the rounds between: to choose the best of them
 _BISECTIONS = 45  # in the last round: to rounding
-_NEWTON_STEPS = 4
-_IRON_REACH = 1.05
-"""Largest current of the map relative to the limit of the stator current, with iron loss."""
+_NEWTON_STEPS = 4  # in i_q, from a linear interpolation
+_IRON_REACH = 1.05  # largest current of the map relative to the limit of the stator current, with iron loss
 _TOLERANCE = 1e-9  # relative excess of a limit that counts as kept
 _ACTIVE = 1e-4  # relative distance within which a limit counts as active
-_SAME = 1e-6
-"""Relative distance from the largest torque within which it is taken instead."""
-_BROKEN = 1e3
-_DIFFERENCE = 1e-4
-"""Step of numeric derivatives, in i_max."""
+_SAME = 1e-6  # relative distance from the largest torque within which it is taken instead
+_BROKEN = 1e3  # rank of a point beyond a limit, above that of any within
+_DIFFERENCE = 1e-4  # step of numeric derivatives, in i_max
 
 
 @dataclass(frozen=True)

@@ -42,8 +42,8 @@ _UNITS = {
     "voltage": "V", "power": "W", "u_dc": "V", "L": "H", "kp": "V/A", "ki": "V/(A s)", "losses": "W", "angle": "rad",
     "resistance": "ohm",
 }  # fmt: skip
-_DIGITS = 12
-_RPM = math.pi / 30
+_DIGITS = 12  # of numbers in CSV: more than any is accurate to
+_RPM = math.pi / 30  # rad/s
 Columns = Mapping[str, Iterable[Any]]
 
 

@@ -29,17 +29,13 @@ from drive_id.settings import Checked, setting
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
-_ACROSS = 8
-"""Cells across the current disc."""
-_FEWEST = 40
-"""Ends of windows in a cell that counts."""
-_BLOCK = 0.05
-"""Duration of the blocks whose scatter gives the standard errors, s: several windows, which overlap."""
-_MOST_BLOCKS = 400
-_WARM, _LINK = 0.05, 0.05
-"""Standard deviations expected of R (13 K) and of the drop (DC link), relative, where no temperature is recorded."""
-_FLUX = 0.3
-"""Of the map's error, relative to the largest flux: bounds what standstill leaves open."""
+_ACROSS = 8  # cells across the current disc
+_FEWEST = 40  # ends of windows in a cell that counts
+_BLOCK = 0.05  # duration of the blocks whose scatter gives the standard errors, s: several windows, which overlap
+_MOST_BLOCKS = 400  # of a recording: longer ones get longer blocks
+_WARM = 0.05  # standard deviation expected of R, relative, where no temperature is recorded: that of 13 K
+_LINK = 0.05  # the same of the drop, which follows the DC link
+_FLUX = 0.3  # of the map's error, relative to the largest flux: bounds what standstill leaves open
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,8 @@ from drive_id.quantity import plain
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
-_CURVE_POINTS = 201
-_AGREEING = 4.0
-"""Joint standard errors that the largest of some hundred differences hardly exceeds by chance."""
+_CURVE_POINTS = 201  # of the difference of two inverter curves
+_AGREEING = 4.0  # joint standard errors that the largest of some hundred differences hardly exceeds by chance
 _OTHER_MACHINE = 0.08
 """NRMSE beyond which no temperature explains a difference: a neodymium magnet loses 0.12 % per kelvin, so 65 K."""
 

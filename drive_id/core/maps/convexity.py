@@ -13,13 +13,11 @@ from drive_id.core.maps.coenergy import PotentialSpline, SplineBasis
 from drive_id.core.numerics.normal_equations import solved
 from drive_id.types import FloatArray, IntArray
 
-_FASTER = 20.0
-"""Factor by which the weight of the barrier falls from round to round."""
-_MOST_STEPS = 300
-_CLOSE = 0.05
-"""Newton decrement, squared, at which a round ends."""
-_SHARE_OF_WAY = 0.95
-_ENOUGH = 0.1
+_FASTER = 20.0  # factor by which the weight of the barrier falls from round to round
+_MOST_STEPS = 300  # of Newton's method in all rounds
+_CLOSE = 0.05  # Newton decrement, squared, at which a round ends
+_SHARE_OF_WAY = 0.95  # that a step may go towards the first singular matrix
+_ENOUGH = 0.1  # share of the predicted decline that a step must reach (Armijo)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,27 +28,24 @@ from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-DEGREE = 4
-FEWEST_POINTS = 8
-REACH = 1.3
-MARGIN = 0.01
+DEGREE = 4  # of the co-energy: the inductances are continuous with their first derivatives
+FEWEST_POINTS = 8  # from which a map is fitted
+REACH = 1.3  # of the rectangle beyond the points, see :func:`fit_monotone`
+MARGIN = 0.01  # least inductance relative to the typical one
 _FEWEST_CELLS = 10  # along an axis: a bridge that saturates takes some
 _MOST_CELLS = 20  # the time of a constrained fit grows with the sixth power of them
-_CELLS_PER_ROOT = 1.0
-"""Cells along an axis per root of the number of points."""
-_BENDS = (1.0, 2.0, 3.0, 4.0)
-_WEIGHTS = np.geomspace(1e-11, 1e-1, 11)
-_FINER = np.geomspace(0.1, 10, 5)[1:-1]
+_CELLS_PER_ROOT = 1.0  # cells along an axis per root of the number of points
+_BENDS = (1.0, 2.0, 3.0, 4.0)  # candidates: cells at zero current are up to 27 times narrower than at the rim
+_WEIGHTS = np.geomspace(1e-11, 1e-1, 11)  # candidates of the roughness
+_FINER = np.geomspace(0.1, 10, 5)[1:-1]  # factors around the best of them
 DECLINE = 0.5
 """Beyond the points, slopes tend to fall with this power of the distance from zero current."""
-_LEAST_BEYOND = 1e-8
-"""Least weight of the slopes beyond the points: strong enough to hold there."""
-_BEYOND = 3.0
-"""The same relative to that of the roughness: weak enough not to move the map within the points."""
-_SITES = 2
-_STEP = 0.05
-_FOLDS = 5
-_SEED = 20
+_LEAST_BEYOND = 1e-8  # least weight of the slopes beyond the points: strong enough to hold there
+_BEYOND = 3.0  # the same relative to that of the roughness: weak enough not to move the map within the points
+_SITES = 2  # per cell along an axis, at which the slopes beyond the points are held
+_STEP = 0.05  # relative, of the distance from zero current, for differences of these slopes
+_FOLDS = 5  # of the cross-validation
+_SEED = 20  # any: equal points give equal maps
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,8 @@ import numpy as np
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray
 
-_MOST_POINTS = 2001
-_HALF = 20
-"""Steps from zero to i_max."""
+_MOST_POINTS = 2001  # of an axis: tables of both fluxes then take 64 MB
+_HALF = 20  # steps from zero to i_max
 
 
 def equal_steps(count: int, low: float, high: float) -> FloatArray:

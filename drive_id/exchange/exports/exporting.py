@@ -15,8 +15,7 @@ from drive_id.exchange.exports.writers import matlab
 from drive_id.files.results.folder import check_absent, replace_file
 from drive_id.result.result import Result
 
-_COARSE = 0.01
-"""Error of bilinear interpolation, by the largest flux, above which it is told."""
+_COARSE = 0.01  # error of bilinear interpolation, by the largest flux, above which it is told
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from drive_id.types import BoolArray, FloatArray
 from drive_id.version import VERSION
 
 _PER_PERIOD = 12  # angles per period of the highest harmonic: linear interpolation is off by 3 % of it
-_LEAST_ANGLES = 4
+_LEAST_ANGLES = 4  # of a table over the angle, without harmonics too
 _NEGLIGIBLE = 0.01  # amplitude of a harmonic, by the largest flux, that may be left out
 _MARGIN = 1.25  # reach of the harmonics, in i_max
 

@@ -16,21 +16,18 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-_SAME = 1e-6
-"""Currents that differ by less, relative to the range, are one."""
-_FEWEST = 4
+_SAME = 1e-6  # currents that differ by less, relative to the range, are one
+_FEWEST = 4  # nodes along an axis, which a cubic spline needs
 _COMPLETE = 0.09
 """Share of the nodes of a grid that must be there: polar grids and scattered points have far more nodes than points."""
 _MOST_NODES = 4_000_000  # of a grid: 32 MB for each array
 _MOST_SCATTERED = 30_000  # points of a spline fit, whose time grows with them
 _STEPS = 40  # about, of an axis for scattered points
 _ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)  # steps of such an axis, times a power of ten
-_SMALL = 5e-4
-"""Amplitude of a harmonic, relative to the largest flux, below which it is left out."""
+_SMALL = 5e-4  # amplitude of a harmonic, relative to the largest flux, below which it is left out
 _MOST_PERIODS = 6
 """Per electrical revolution: the fluxes of a three-phase machine repeat after 60 degrees at the earliest."""
-_SYMMETRIC = 0.02
-"""Flux psi_q at i_q = 0, relative to the largest, up to which a map over half the plane is mirrored."""
+_SYMMETRIC = 0.02  # flux psi_q at i_q = 0, relative to the largest, up to which a map over half the plane is mirrored
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,7 +24,7 @@ from drive_id.fitting.result import Identification
 from drive_id.messages import Message
 from drive_id.origins import IMPORTED
 
-_COVERAGE_POINTS = 101
+_COVERAGE_POINTS = 101  # along an axis, by which the covered share of the disc is counted
 OURS = Conventions()
 
 

@@ -17,19 +17,14 @@ from drive_id.types import FloatArray, IntArray
 
 _MOST_POINTS = 1500  # at which slopes are estimated
 _NEIGHBOURS = 9  # through which a plane is fitted: a node of a grid and those around it
-_RISING = 0.95
-"""Share of points at which each flux must rise with the current of its axis."""
+_RISING = 0.95  # share of points at which each flux must rise with the current of its axis
 _ASYMMETRY = 0.25
 """Largest ``L_dq - L_qd``, rms, relative to the rms inductance: iron loss and noise of measured maps leave less."""
-_MAGNET = 0.02
-"""Flux at zero current, relative to the largest, from which on there is a magnet with a direction."""
-_TORQUE = 0.1
-"""Relative difference allowed between a file's torque and that of its map."""
+_MAGNET = 0.02  # flux at zero current, relative to the largest, from which on there is a magnet with a direction
+_TORQUE = 0.1  # relative difference allowed between a file's torque and that of its map
 _INDUCTANCE = (1e-6, 5.0)  # H
-_LARGEST_FLUX = 50.0
-"""Wb; ship drives reach 30, and 50 mWb are a small machine."""
-_LARGE_FLUX = 2.0
-"""Wb; at 50 Hz it induces 628 V, more than an inverter on 1000 V gives."""
+_LARGEST_FLUX = 50.0  # Wb; ship drives reach 30, and 50 mWb are a small machine
+_LARGE_FLUX = 2.0  # Wb; at 50 Hz it induces 628 V, more than an inverter on 1000 V gives
 _OFF_NEIGHBOURS = 5.0  # distance of an outlier from the plane through its neighbours, by the distances of those
 _OFF = 0.03  # the same by the largest flux
 _TIME_CONSTANT = (3e-5, 20.0)  # s

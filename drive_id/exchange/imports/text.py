@@ -19,7 +19,7 @@ COLUMNS = ("i_d", "i_q", "psi_d", "psi_q", "torque", "theta", "sigma_d", "sigma_
 _NEEDED = COLUMNS[:4]
 _COMMENT = re.compile(r"#\s*(\w+)\s*[:=]\s*(.+)")
 _MILLI = re.compile(r"\b(mWb|mVs|mA|mNm)\b")
-_MOST_BYTES = 500_000_000
+_MOST_BYTES = 500_000_000  # of a file, which is read into memory whole
 
 
 def read_csv(source: Source) -> MapPoints:

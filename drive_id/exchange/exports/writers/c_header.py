@@ -15,9 +15,9 @@ from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import FloatArray, IntArray
 
 _TEMPLATE = Path(__file__).with_name("flux_map.h")
-_PER_LINE = 8
-_DROP_POINTS, _DROP_ERROR = 129, 5e-4
-"""Most points of the drop's table, and its largest error relative to the largest drop."""
+_PER_LINE = 8  # numbers of a table
+_DROP_POINTS = 129  # at most, of the table of the drop
+_DROP_ERROR = 5e-4  # largest of this table, relative to the largest drop
 _DELAY = 1.5
 """Samples from the measured current to the mean of the voltage that answers it: one of computation, half a sample of
 the modulator."""

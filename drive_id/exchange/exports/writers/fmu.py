@@ -21,10 +21,8 @@ from drive_id.exchange.exports.table import MapTable
 from drive_id.exchange.exports.writers import c_header
 
 _FOLDER = Path(__file__).with_name("fmu")
-_STEP = 1e-5
-"""Largest step of the solver inside, s: a fifth of what the steepest inverter curves allow."""
-_DATE = (1980, 1, 1, 0, 0, 0)
-"""Of all files in the archive, so that equal models are equal files."""
+_STEP = 1e-5  # largest step of the solver inside, s: a fifth of what the steepest inverter curves allow
+_DATE = (1980, 1, 1, 0, 0, 0)  # of all files in the archive, so that equal models are equal files
 _MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("windows", ".dll")}
 _LONGEST_COMPILATION = 300.0  # s

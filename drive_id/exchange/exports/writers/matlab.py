@@ -16,12 +16,9 @@ from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
 from drive_id.types import FloatArray
 
-_SPAN = 2 * np.pi / 3
-"""Electrical angle after which Simscape repeats its tables, rad."""
-_LOST = 0.03
-"""Flux that tables of L_d and L_q may lose, relative to the largest."""
-_TEMPERATURE = 20.0
-"""Of windings and magnets in SyR-e's files, degrees Celsius: R is stated at it."""
+_SPAN = 2 * np.pi / 3  # electrical angle after which Simscape repeats its tables, rad
+_LOST = 0.03  # flux that tables of L_d and L_q may lose, relative to the largest
+_TEMPERATURE = 20.0  # of windings and magnets in SyR-e's files, degrees Celsius: R is stated at it
 
 
 def _file(

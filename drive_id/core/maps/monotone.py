@@ -319,23 +319,22 @@ class _Problem:
     def _all(self) -> tuple[FloatArray, FloatArray]:
         return self.sums(np.ones(len(self.points.i), np.bool_))
 
-    def _matrix(self, normal: FloatArray, weight: float, count: int) -> FloatArray:
-        return normal / (2 * count) + max(_LEAST_BEYOND, _BEYOND * weight) * self.beyond + weight * self.rough
+    def _minimum(
+        self, normal: FloatArray, right: FloatArray, weight: float, count: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return matrix and right side of the normal equations of some points with these sums."""
+        matrix = normal / (2 * count) + max(_LEAST_BEYOND, _BEYOND * weight) * self.beyond + weight * self.rough
+        return matrix, right / (2 * count)
 
     def free(self, weight: float) -> FloatArray:
         """Return the coefficients that minimize without constraints."""
-        normal, right = self._all
-        count = len(self.points.i)
-        return solved(self._matrix(normal, weight, count), right / (2 * count))
+        return solved(*self._minimum(*self._all, weight, len(self.points.i)))
 
     def convex(self, weight: float, start: FloatArray, forms: HessianForms, least: float) -> FloatArray:
         """Return the coefficients that minimize among those of a convex co-energy."""
-        normal, right = self._all
-        count = len(self.points.i)
+        normal, right = self._minimum(*self._all, weight, len(self.points.i))
         tolerance = max(1e-10, 1e-3 * _rms(self.at_points(start) - self.points.psi) ** 2 / 4)
-        return barrier_minimum(
-            self._matrix(normal, weight, count), right / (2 * count), forms, start, self.points.slope, least, tolerance
-        )
+        return barrier_minimum(normal, right, forms, start, self.points.slope, least, tolerance)
 
     def errors(self, candidates: FloatArray) -> FloatArray:
         """Return the cross-validated errors of the unconstrained map for weights of the roughness."""
@@ -348,7 +347,7 @@ class _Problem:
             rows, psi = self.rows[np.repeat(left_out, 2)], self.points.psi[left_out].ravel()
             count = int((~left_out).sum())
             for k, weight in enumerate(candidates):
-                w = solved(self._matrix(normal - own_normal, weight, count), (right - own_right) / (2 * count))
+                w = solved(*self._minimum(normal - own_normal, right - own_right, weight, count))
                 errors[k] += self.points.weights[left_out].ravel() @ (rows @ w - psi) ** 2
         return errors
 

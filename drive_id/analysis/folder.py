@@ -26,7 +26,7 @@ from drive_id.messages import Message
 from drive_id.quantity import measured, plain
 from drive_id.result.result import InverterCurve, Result
 from drive_id.result.tables import pandas_library
-from drive_id.types import FloatArray
+from drive_id.types import BoolArray, FloatArray
 from drive_id.version import VERSION
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ class Figure(NamedTuple):
     inside: bool
 
     @classmethod
-    def of(cls, value: float, sigma: float, unit: str, inside: bool | np.bool_) -> Figure:
+    def of(cls, value: float | FloatArray, sigma: float, unit: str, inside: bool | BoolArray) -> Figure:
         """Return a figure of numpy's numbers."""
         return cls(float(value), float(sigma), unit, bool(inside))
 

@@ -17,8 +17,9 @@ from pathlib import Path
 import numpy as np
 from reporting import write_between
 
-from drive_id.exchange.exports.exporting import TableChoice, content_of
+from drive_id.exchange.exports.exporting import content_of
 from drive_id.exchange.exports.options import ExportOptions
+from drive_id.exchange.exports.table import TableChoice
 from drive_id.fitting.result import Identification
 
 _PAGE = Path(__file__).parent.parent / "docs" / "exchange.md"

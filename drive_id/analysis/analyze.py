@@ -17,25 +17,17 @@ from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus, characteristic_current, mtpa, mtpv
 from drive_id.errors import ConfigurationError, DataError
+from drive_id.messages import Message
 from drive_id.result.result import Result
 from drive_id.temperature import REFERENCE_TEMPERATURE
-from drive_id.types import BoolArray
 
-_RPM = math.pi / 30
-_REACH = 1.25
-_FURTHEST = 4.0
-"""Largest current of an analysis relative to that of the map."""
-_LEAST_TORQUE = 1e-4
-"""Of the product of flux and current."""
-_MOST_FALLING = 0.5
-_BEYOND = 0.05
-"""Share by which the last speed must be exceeded if it is only the end of the tables."""
-_WEAKENING = 4.0
-"""Highest speed of the tables, in corner speeds."""
-_UNKNOWN_RESISTANCE = (
-    "The resistance is unknown: voltages neglect it, and losses, efficiency and ki are NaN; import the map with "
-    "--resistance."
-)
+_RPM = math.pi / 30  # rad/s
+_REACH = 1.25  # of the harmonics of the torque, in the larger i_max
+_FURTHEST = 4.0  # largest current of an analysis relative to that of the map
+_LEAST_TORQUE = 1e-4  # at i_max, of the product of flux and current: less counts as none
+_MOST_FALLING = 0.5  # share of the points with data at which a flux may fall with its own current
+_BEYOND = 0.05  # share by which the last speed must be exceeded if it is only the end of the tables
+_WEAKENING = 4.0  # highest speed of the tables, in corner speeds
 
 
 def analyze(result: Result | str | Path, settings: AnalysisSettings | None = None) -> Analysis:
@@ -95,7 +87,7 @@ def analyze(result: Result | str | Path, settings: AnalysisSettings | None = Non
         speed_ranges=ranges,
         maps=maps,
         compensation=found.inverter_curve,
-        statements=_statements(model, found, chosen, at_most, beyond, ranges),
+        statements=_statements(model, found, i_max, at_most, beyond, ranges),
     )
 
 
@@ -154,30 +146,23 @@ def _figures(
     sigma_magnet = np.nan
     if model.errors is not None and zero:
         sigma_magnet = float(np.linalg.norm(model.errors.fluxes(np.zeros(()), np.zeros(()))[:, 0]))
-    saliency = slopes[1, 1] / slopes[0, 0]
-    characteristic = characteristic_current(model)
+    size, sigma_size, known = characteristic_current(model)
+    angle, last = np.arctan2(at_most.i_q[-1], at_most.i_d[-1]), at_most.inside[-1]
     factor = model.resistance / found.resistance if found.resistance else 1.0
     rate = 2 * math.pi * settings.bandwidth
     return {
-        "resistance": Figure(model.resistance, factor * found.sigma_resistance, "ohm", inside=True),
-        "magnet_flux": Figure(float(model.psi_dq(0.0, 0.0)[0]), sigma_magnet, "Wb", zero),
-        "L_dd": Figure(float(slopes[0, 0]), float(errors[0, 0]), "H", zero),
-        "L_qq": Figure(float(slopes[1, 1]), float(errors[1, 1]), "H", zero),
-        "saliency": Figure(float(saliency), _sigma_saliency(model) if zero else np.nan, "1", zero),
-        "characteristic_current": Figure(characteristic[0], characteristic[1], "A", characteristic[2]),
-        "mtpa_angle": Figure(
-            float(np.arctan2(at_most.i_q[-1], at_most.i_d[-1])),
-            float(at_most.sigma_angle[-1]),
-            "rad",
-            bool(at_most.inside[-1]),
-        ),
-        "max_torque": Figure(
-            float(at_most.torque[-1]), float(at_most.sigma_torque[-1]), "Nm", bool(at_most.inside[-1])
-        ),
+        "resistance": Figure.of(model.resistance, factor * found.sigma_resistance, "ohm", inside=True),
+        "magnet_flux": Figure.of(model.psi_dq(0.0, 0.0)[0], sigma_magnet, "Wb", zero),
+        "L_dd": Figure.of(slopes[0, 0], errors[0, 0], "H", zero),
+        "L_qq": Figure.of(slopes[1, 1], errors[1, 1], "H", zero),
+        "saliency": Figure.of(slopes[1, 1] / slopes[0, 0], _sigma_saliency(model) if zero else np.nan, "1", zero),
+        "characteristic_current": Figure.of(size, sigma_size, "A", known),
+        "mtpa_angle": Figure.of(angle, at_most.sigma_angle[-1], "rad", last),
+        "max_torque": Figure.of(at_most.torque[-1], at_most.sigma_torque[-1], "Nm", last),
         **(_figures_over_speed(model, ranges[0]) if ranges else {}),
-        "kp_d": Figure(float(rate * gains[0, 0]), float(rate * errors[0, 0]), "V/A", zero),
-        "kp_q": Figure(float(rate * gains[1, 1]), float(rate * errors[1, 1]), "V/A", zero),
-        "ki": Figure(rate * model.resistance, rate * factor * found.sigma_resistance, "V/(A s)", inside=True),
+        "kp_d": Figure.of(rate * gains[0, 0], rate * errors[0, 0], "V/A", zero),
+        "kp_q": Figure.of(rate * gains[1, 1], rate * errors[1, 1], "V/A", zero),
+        "ki": Figure.of(rate * model.resistance, rate * factor * found.sigma_resistance, "V/(A s)", inside=True),
     }
 
 
@@ -187,22 +172,16 @@ def _figures_over_speed(model: MachineModel, of_speed: SpeedRange) -> dict[str, 
     supported = motoring.inside(model)
     possible = bool(np.isfinite(motoring.torque).any())
     power = int(np.nanargmax(motoring.mechanical)) if possible else 0
+    sigma_power = motoring.speed[power] * sigma_torque[power]
     efficiency = of_speed.references.efficiency
     best = np.unravel_index(np.nanargmax(efficiency) if np.isfinite(efficiency).any() else 0, efficiency.shape)
-    at = of_speed.references.i_dq[best]
+    there = model.inside(*of_speed.references.i_dq[best])
     return {
-        "max_torque": Figure(float(motoring.torque[0]), float(sigma_torque[0]), "Nm", bool(supported[0])),
+        "max_torque": Figure.of(motoring.torque[0], sigma_torque[0], "Nm", supported[0]),
         "corner_speed": _corner(model, of_speed),
-        _top(model, of_speed): Figure(float(motoring.speed[-1]), np.nan, "rad/s", bool(supported[-1])),
-        "max_power": Figure(
-            float(motoring.mechanical[power]),
-            float(motoring.speed[power] * sigma_torque[power]),
-            "W",
-            bool(supported[power]),
-        ),
-        "max_efficiency": Figure(
-            float(efficiency[best]), float(of_speed.errors.efficiency[best]), "1", bool(model.inside(at[0], at[1]))
-        ),
+        _top(model, of_speed): Figure.of(motoring.speed[-1], np.nan, "rad/s", supported[-1]),
+        "max_power": Figure.of(motoring.mechanical[power], sigma_power, "W", supported[power]),
+        "max_efficiency": Figure.of(efficiency[best], of_speed.errors.efficiency[best], "1", there),
     }
 
 
@@ -240,113 +219,51 @@ def _corner(model: MachineModel, of_speed: SpeedRange) -> Figure:
 def _statements(
     model: MachineModel,
     found: Result,
-    settings: AnalysisSettings,
+    i_max: float,
     at_most: CurrentLocus,
     beyond: CurrentLocus,
     ranges: tuple[SpeedRange, ...],
-) -> tuple[str, ...]:
-    out = [_on_errors(model), _on_iron(model), _on_inverter(found), *_on_temperature(model, found)]
-    if not math.isfinite(model.resistance):
-        out.append(_UNKNOWN_RESISTANCE)
-    if not ranges:
-        out.append(
-            "The DC-link voltage is unknown, so there are no figures and tables over speed: give --u-dc (u_dc), V."
-        )
-    if not model.monotone:
-        out.append(_on_inverse(model))
-    if not model.monotone_inside:
-        out.append(
-            "The incremental inductances of the map are not positive definite everywhere within the data: the gains "
-            "rest on those of the nearest monotone map."
-        )
-    if not found.harmonics:
-        out.append("The result has no rotor-position harmonics, so the torque ripple is 0.")
-    else:
-        out.append("The torque ripple follows from the flux harmonics; cogging at zero current is not included.")
-    if not len(beyond):
-        i_max = settings.i_max or found.i_max
-        out.append(f"There is no MTPV point up to {i_max:.4g} A: the characteristic current exceeds it.")
-    out += [
-        sentence
-        for name, inside in (
-            ("MTPA", at_most.inside),
-            ("MTPV", beyond.inside),
-            *((f"field weakening at {entry.u_dc:.4g} V", _inside(model, entry.references)) for entry in ranges),
-        )
-        if (sentence := _on_support(name, inside))
+) -> tuple[Message, ...]:
+    """Say what the figures include, and where they rest on no data."""
+    known_drop = found.origin.inverter and np.any(found.inverter_curve.voltage)
+    out = [
+        _on_errors(model),
+        Message("analysis_iron_loss" if model.iron.known else "analysis_iron_loss.unknown"),
+        Message("analysis_drop" if known_drop else "analysis_drop.unknown"),
     ]
+    if model.temperature is not None:
+        assumed = not found.provenance.settings.temperatures
+        at = {"temperature": model.temperature, "reference": REFERENCE_TEMPERATURE}
+        out.append(Message("analysis_resistance", assumed=assumed, **at))
+    if model.magnet_temperature is not None:
+        known = found.drive.magnet_coefficient is not None
+        key = "analysis_magnet" if known else "analysis_magnet.unknown"
+        out.append(Message(key, temperature=model.magnet_temperature))
+    if not math.isfinite(model.resistance):
+        out.append(Message("analysis_resistance.unknown"))
+    if not ranges:
+        out.append(Message("analysis_speed.unknown"))
+    if not model.monotone:
+        grid = model.flux_map.grid()[model.flux_map.inside]
+        own = np.stack(model.psi_dq(grid[:, 0], grid[:, 1]), axis=-1)
+        moved = float(np.abs(model.inverted.values(grid[:, 0], grid[:, 1]) - own).max())
+        out.append(Message("analysis_monotone.nearest", moved=moved))
+    if not model.monotone_inside:
+        out.append(Message("analysis_monotone.gains"))
+    out.append(Message("analysis_ripple" if found.harmonics else "analysis_ripple.unknown"))
+    if not len(beyond):
+        out.append(Message("analysis_mtpv.none", i_max=i_max))
+    supported = {"MTPA": at_most.inside, "MTPV": beyond.inside}
+    for entry in ranges:
+        points = entry.references
+        supported[f"field weakening at {entry.u_dc:.4g} V"] = points.inside(model) | ~np.isfinite(points.i_dq[..., 0])
+    for line, inside in supported.items():
+        if not inside.all():
+            out.append(Message("analysis_support", missing=int((~inside).sum()), points=inside.size, line=line))
     return tuple(out)
 
 
-def _inside(model: MachineModel, points: Operation) -> BoolArray:
-    return (points.inside(model) | ~np.isfinite(points.i_dq[..., 0])).ravel()
-
-
-def _on_support(name: str, inside: BoolArray) -> str:
-    missing = int((~inside).sum())
-    if not missing:
-        return ""
-    return (
-        f"{missing} of {inside.size} points of {name} lie outside the data: they rest on a smooth continuation of the "
-        "map, are marked (inside is 0) and have no standard error."
-    )
-
-
-def _on_inverse(model: MachineModel) -> str:
-    grid = model.flux_map.grid()[model.flux_map.inside]
-    own = np.stack(model.psi_dq(grid[:, 0], grid[:, 1]), axis=-1)
-    moved = np.abs(model.inverted.values(grid[:, 0], grid[:, 1]) - own).max()
-    return (
-        "The map is not monotone, so a flux may belong to several currents: the inverse map and the characteristic "
-        f"current are those of the nearest monotone map, which differs by at most {moved:.3g} Wb within the data."
-    )
-
-
-def _on_errors(model: MachineModel) -> str:
+def _on_errors(model: MachineModel) -> Message:
     if model.errors is None:
-        return "The result has no standard errors of its map, so all bands are NaN."
-    if not model.errors.joint:
-        return (
-            "The result does not tell how the errors of its map are correlated: each flux is taken to err as a whole, "
-            "which gives wide bands of torque, and none of inductances and angles."
-        )
-    return (
-        "Standard errors follow from the joint errors of fluxes, resistance and inverter curve that the fit found, to "
-        "first order; a common gain error of currents or voltages is not included."
-    )
-
-
-def _on_iron(model: MachineModel) -> str:
-    if model.iron.known:
-        return (
-            "Iron loss is included as identified: i_d and i_q of the tables over speed are stator currents, and the "
-            "torque follows from those minus the current of the iron loss."
-        )
-    return "No iron loss was identified, so none is included; losses lack it and those of friction."
-
-
-def _on_inverter(found: Result) -> str:
-    if found.origin.inverter and np.any(found.inverter_curve.voltage):
-        return (
-            "The inverter's drop is included in voltages and losses, with its linear part in the resistance; its "
-            "switching losses are not."
-        )
-    return "No drop of the inverter is known, so none is included beyond what the resistance contains."
-
-
-def _on_temperature(model: MachineModel, found: Result) -> list[str]:
-    out = []
-    if model.temperature is not None:
-        known = bool(found.provenance.settings.temperatures)
-        since = "" if known else ", which is assumed, as no temperatures are known"
-        out.append(
-            f"The resistance holds at {model.temperature:g} degC, by copper's coefficient from its value at "
-            f"{REFERENCE_TEMPERATURE:g} degC{since}."
-        )
-    if model.magnet_temperature is not None:
-        out.append(
-            f"The magnet's flux holds at {model.magnet_temperature:g} degC by the identified coefficient."
-            if found.drive.magnet_coefficient is not None
-            else "The coefficient of the magnet was not identified: its flux is that of the map."
-        )
-    return out
+        return Message("analysis_bands.unknown")
+    return Message("analysis_bands" if model.errors.joint else "analysis_bands.wide")

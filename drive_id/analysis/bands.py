@@ -79,33 +79,20 @@ class ModelErrors:
             if drive.sigma_inverter_voltage is not None:
                 voltage[3] = _known(drive.sigma_inverter_voltage)
         psi_d, psi_q = np.split(longer.whole(fluxes), 2)
-        own = cls(
-            longer.i_d, longer.i_q, psi_d, psi_q, warmer * resistance, voltage, np.zeros(len(resistance)),
-            modes is not None,
-        )  # fmt: skip
+        by_magnet = []
         if magnet and drive.magnet_coefficient is not None:
-            own = own.with_cause(psi_d=magnet * float(_known(drive.magnet_coefficient[1])))
+            by_magnet = [magnet * float(_known(drive.magnet_coefficient[1]))]
         losses = [entry for entry in drive.calibrations if entry.name.startswith("iron_loss") and entry.applied]
-        for entry in losses:
-            own = own.with_cause(iron=float(_known(entry.sigma)) / entry.value if entry.value else 0.0)
-        return own
+        by_iron = [float(_known(entry.sigma)) / entry.value if entry.value else 0.0 for entry in losses]
+        first, more = len(resistance), (0, len(by_magnet) + len(by_iron))
+        psi_d, psi_q = (np.pad(psi, (more, (0, 0), (0, 0))) for psi in (psi_d, psi_q))
+        psi_d[first : first + len(by_magnet)] = np.reshape(by_magnet, (-1, 1, 1))
+        iron = np.concatenate([np.zeros(first + len(by_magnet)), by_iron])
+        resistance, voltage = np.pad(warmer * resistance, more), np.pad(voltage, (more, (0, 0)))
+        return cls(longer.i_d, longer.i_q, psi_d, psi_q, resistance, voltage, iron, joint=modes is not None)
 
     def __len__(self) -> int:
         return len(self.resistance)
-
-    def with_cause(self, *, psi_d: float = 0.0, iron: float = 0.0) -> ModelErrors:
-        """Return these errors and a further cause: a constant psi_d, Wb, or a relative change of the iron loss."""
-        shape = (1, *self.psi_d.shape[1:])
-        return ModelErrors(
-            self.i_d,
-            self.i_q,
-            np.concatenate([self.psi_d, np.full(shape, psi_d)]),
-            np.concatenate([self.psi_q, np.zeros(shape)]),
-            np.append(self.resistance, 0.0),
-            np.concatenate([self.inverter_voltage, np.zeros((1, self.inverter_voltage.shape[1]))]),
-            np.append(self.iron, iron),
-            self.joint,
-        )
 
     @cached_property
     def _surfaces(self) -> tuple[Surfaces, ...]:

@@ -6,13 +6,15 @@ limits, or with the i_q that gives the torque.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drive_id.analysis.bands import combined
 from drive_id.analysis.machine import MachineModel
-from drive_id.analysis.operation import Operation, operations_with_errors
+from drive_id.analysis.operation import Operation, changes
 from drive_id.types import BoolArray, FloatArray
 
 _LINES = 121  # candidates of i_d, both signs
@@ -26,16 +28,13 @@ _NARROW_ROWS = 41  # candidates of i_q on each
 _ROUGH_BISECTIONS = 12  # of i_q on each line in the first round: to choose lines
 _MIDDLE_BISECTIONS = 20  # in the rounds between: to choose the best of them
 _BISECTIONS = 45  # in the last round: to rounding
-_NEWTON_STEPS = 4
-_IRON_REACH = 1.05
-"""Largest current of the map relative to the limit of the stator current, with iron loss."""
+_NEWTON_STEPS = 4  # in i_q, from a linear interpolation
+_IRON_REACH = 1.05  # largest current of the map relative to the limit of the stator current, with iron loss
 _TOLERANCE = 1e-9  # relative excess of a limit that counts as kept
 _ACTIVE = 1e-4  # relative distance within which a limit counts as active
-_SAME = 1e-6
-"""Relative distance from the largest torque within which it is taken instead."""
-_BROKEN = 1e3
-_DIFFERENCE = 1e-4
-"""Step of numeric derivatives, in i_max."""
+_SAME = 1e-6  # relative distance from the largest torque within which it is taken instead
+_BROKEN = 1e3  # rank of a point beyond a limit, above that of any within
+_DIFFERENCE = 1e-4  # step of numeric derivatives, in i_max
 
 
 @dataclass(frozen=True)
@@ -54,11 +53,11 @@ class DriveLimits:
         """Return where current and voltage are at their limits."""
         return points.current > (1 - _ACTIVE) * self.i_max, points.voltage > (1 - _ACTIVE) * self.u_max
 
-    def names(self, points: Operation) -> list[str]:
-        """Name the limits that are active at points (N,): none, current, voltage, both, or unreachable for NaN."""
+    def names(self, points: Operation) -> NDArray[np.str_]:
+        """Name the limits that are active at points (...): none, current, voltage, both, or unreachable for NaN."""
         current, voltage = self.active(points)
         words = np.array(["none", "current", "voltage", "both"])[current + 2 * voltage]
-        return [str(word) for word in np.where(np.isfinite(points.current), words, "unreachable")]
+        return np.where(np.isfinite(points.current), words, "unreachable")
 
 
 def envelope(model: MachineModel, limits: DriveLimits, speed: FloatArray, *, sign: float = 1.0) -> Operation:
@@ -157,11 +156,7 @@ def corner_speed(model: MachineModel, limits: DriveLimits) -> float:
     high = limits.u_max / max(float(np.hypot(*model.psi_dq(*point.i_dq[0]))) * model.known_pole_pairs(), 1e-12)
     while voltage(high) < limits.u_max:
         high *= 2
-    low = 0.0
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if voltage(middle) < limits.u_max else (low, middle)
-    return low
+    return _last(lambda speed: voltage(speed) < limits.u_max, high, 60)
 
 
 def top_speed(model: MachineModel, limits: DriveLimits, most: float) -> float:
@@ -171,10 +166,13 @@ def top_speed(model: MachineModel, limits: DriveLimits, most: float) -> float:
         found = float(envelope(model, limits, np.array([speed])).torque[0])
         return bool(np.isfinite(found) and found > 0)
 
-    if possible(most):
-        return most
-    low, high = 0.0, most
-    for _ in range(12):
+    return most if possible(most) else _last(possible, most, 12)
+
+
+def _last(possible: Callable[[float], bool], high: float, bisections: int) -> float:
+    """Return the largest number from 0 to ``high`` at which something is possible, by bisection."""
+    low = 0.0
+    for _ in range(bisections):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if possible(middle) else (low, middle)
     return low
@@ -186,12 +184,8 @@ def sigma_envelope(model: MachineModel, limits: DriveLimits, points: Operation) 
     With the gradients of torque, voltage and current by the map's current, the torque changes to first order by its own
     change minus the change of an active voltage limit times its multiplier.
     """
-    known = points.inside(model)
-    torque, voltage = [], []
-    for other in operations_with_errors(model, points):
-        torque.append(other.torque - points.torque)
-        voltage.append(other.voltage - points.voltage)
-    if not torque:
+    changed = changes(model, points, ("torque", "voltage"))
+    if changed is None:
         return np.full(len(points.torque), np.nan)
     by_t, by_u, by_i = _gradients(model, limits, points.i_dq, points.speed)
     at_current, at_voltage = limits.active(points)
@@ -200,7 +194,8 @@ def sigma_envelope(model: MachineModel, limits: DriveLimits, points: Operation) 
     both = by_t[..., 0] * by_i[..., 1] - by_t[..., 1] * by_i[..., 0]
     both = np.divide(both, cross, out=alone.copy(), where=np.abs(cross) > 0)
     multiplier = np.where(at_voltage, np.where(at_current, both, alone), 0.0)
-    return np.where(known, combined(np.array(torque) - multiplier * np.array(voltage)), np.nan)
+    sigma = combined(changed["torque"] - multiplier * changed["voltage"])
+    return np.where(points.inside(model), sigma, np.nan)
 
 
 def _gradients(
@@ -229,9 +224,11 @@ def _candidates(model: MachineModel, limits: DriveLimits, sign: float) -> tuple[
 def _kept(limits: DriveLimits, points: Operation) -> Operation:
     """Return points, NaN where a limit is exceeded."""
     good = limits.broken(points) == 0
-    fields = {name: np.asarray(getattr(points, name)) for name in Operation.__dataclass_fields__ if name != "speed"}
-    masked = {name: np.where(good if x.ndim == good.ndim else good[..., None], x, np.nan) for name, x in fields.items()}
-    return Operation(**masked, speed=points.speed)
+    masked = {
+        name: np.where(good if values.ndim == good.ndim else good[..., None], values, np.nan)
+        for name, values in vars(points).items()
+    }
+    return Operation(**masked | {"speed": points.speed})
 
 
 def _least_current(

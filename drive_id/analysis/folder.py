@@ -22,10 +22,11 @@ from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus
 from drive_id.files.inputs.archive import npz_bytes
 from drive_id.files.results.folder import replace_folder
+from drive_id.messages import Message
 from drive_id.quantity import measured, plain
 from drive_id.result.result import InverterCurve, Result
 from drive_id.result.tables import pandas_library
-from drive_id.types import FloatArray
+from drive_id.types import BoolArray, FloatArray
 from drive_id.version import VERSION
 
 if TYPE_CHECKING:
@@ -41,8 +42,8 @@ _UNITS = {
     "voltage": "V", "power": "W", "u_dc": "V", "L": "H", "kp": "V/A", "ki": "V/(A s)", "losses": "W", "angle": "rad",
     "resistance": "ohm",
 }  # fmt: skip
-_DIGITS = 12
-_RPM = math.pi / 30
+_DIGITS = 12  # of numbers in CSV: more than any is accurate to
+_RPM = math.pi / 30  # rad/s
 Columns = Mapping[str, Iterable[Any]]
 
 
@@ -53,6 +54,11 @@ class Figure(NamedTuple):
     sigma: float
     unit: str
     inside: bool
+
+    @classmethod
+    def of(cls, value: float | FloatArray, sigma: float, unit: str, inside: bool | BoolArray) -> Figure:
+        """Return a figure of numpy's numbers."""
+        return cls(float(value), float(sigma), unit, bool(inside))
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +114,7 @@ class Analysis:
     maps : CurrentMaps
     compensation : InverterCurve
         Voltage to add to each phase over its current.
-    statements : tuple of str
+    statements : tuple of Message
         Sentences: what the figures include, and where they rest on no data.
     """
 
@@ -121,7 +127,7 @@ class Analysis:
     speed_ranges: tuple[SpeedRange, ...]
     maps: CurrentMaps
     compensation: InverterCurve
-    statements: tuple[str, ...]
+    statements: tuple[Message, ...]
 
     def __repr__(self) -> str:
         corner = self.figures.get("corner_speed")
@@ -185,26 +191,10 @@ class Analysis:
         OutputError
             When the folder is not ours to write, or cannot be written.
         """
-        write_analysis(Path(directory), self, force=force)
-
-
-def write_analysis(directory: Path, analysis: Analysis, *, force: bool = False) -> None:
-    """Write all files of an analysis, or none.
-
-    Raises
-    ------
-    OutputError
-        See :func:`~drive_id.files.results.folder.replace_folder`.
-    """
-    text = json.dumps(analysis_tree(analysis), indent=1, allow_nan=False) + "\n"
-    files = {name: _csv(columns) for name, columns in tables(analysis).items()}
-    replace_folder(
-        directory,
-        {**files, "maps.npz": npz_bytes(analysis.maps.arrays()), MARKER: text.encode()},
-        marker=MARKER,
-        kind=FORMAT,
-        force=force,
-    )
+        text = json.dumps(analysis_tree(self), indent=1, allow_nan=False) + "\n"
+        files = {name: _csv(columns) for name, columns in tables(self).items()}
+        files |= {"maps.npz": npz_bytes(self.maps.arrays()), MARKER: text.encode()}
+        replace_folder(Path(directory), files, marker=MARKER, kind=FORMAT, force=force)
 
 
 def analysis_tree(analysis: Analysis) -> dict[str, Any]:
@@ -237,19 +227,13 @@ def analysis_tree(analysis: Analysis) -> dict[str, Any]:
 
 def tables(analysis: Analysis) -> dict[str, Columns]:
     """Return all tables by file name, each as columns by name."""
+    model, ranges = analysis.model, analysis.speed_ranges
+    over_speed = {"field_weakening.csv": _references, "torque_speed.csv": _envelope} if ranges else {}
     return {
         "mtpa.csv": _trajectory(analysis.mtpa),
         "mtpv.csv": _trajectory(analysis.mtpv),
-        **(_over_speed(analysis) if analysis.speed_ranges else {}),
-        "compensation.csv": _compensation(analysis),
-    }
-
-
-def _over_speed(analysis: Analysis) -> dict[str, Columns]:
-    model, ranges = analysis.model, analysis.speed_ranges
-    return {
-        "field_weakening.csv": _joined([_references(model, entry) for entry in ranges]),
-        "torque_speed.csv": _joined([_envelope(model, entry) for entry in ranges]),
+        **{name: _joined([columns(model, entry) for entry in ranges]) for name, columns in over_speed.items()},
+        "compensation.csv": _compensation(analysis.compensation),
     }
 
 
@@ -260,14 +244,13 @@ def _trajectory(points: CurrentLocus) -> Columns:
 
 def _references(model: MachineModel, entry: SpeedRange) -> Columns:
     points, errors = entry.references, entry.errors
-    flat = {
+    columns = {
         "torque": points.torque,
         "speed": points.speed,
         "i_d": points.stator[..., 0],
         "i_q": points.stator[..., 1],
         "voltage": points.voltage,
-    }
-    more = {
+        "limit": entry.limits.names(points),
         "requested_torque": np.broadcast_to(entry.requested, points.torque.shape),
         "current": points.current,
         "power": points.power,
@@ -282,15 +265,7 @@ def _references(model: MachineModel, entry: SpeedRange) -> Columns:
         "inside": points.inside(model),
         "u_dc": np.full(points.torque.shape, entry.u_dc),
     }
-    limit = {"limit": entry.limits.names(_flat(points))}
-    return {name: x.ravel() for name, x in flat.items()} | limit | {name: x.ravel() for name, x in more.items()}
-
-
-def _flat(points: Operation) -> Operation:
-    """Return points (S, N) as (S N,)."""
-    fields = {name: np.asarray(getattr(points, name)) for name in Operation.__dataclass_fields__}
-    vectors = ("i_dq", "stator", "u_dq")
-    return Operation(**{name: x.reshape(-1, 2) if name in vectors else x.ravel() for name, x in fields.items()})
+    return {name: values.ravel() for name, values in columns.items()}
 
 
 def _envelope(model: MachineModel, entry: SpeedRange) -> Columns:
@@ -314,8 +289,7 @@ def _envelope(model: MachineModel, entry: SpeedRange) -> Columns:
     }
 
 
-def _compensation(analysis: Analysis) -> Columns:
-    curve = analysis.compensation
+def _compensation(curve: InverterCurve) -> Columns:
     sigma = np.full(len(curve.current), np.nan) if curve.sigma is None else curve.sigma
     phases = {} if curve.phases is None else dict(zip(("phase_a", "phase_b", "phase_c"), curve.phases.T, strict=True))
     return {"current": curve.current, "voltage": curve.voltage, "sigma_voltage": sigma, **phases}
@@ -335,8 +309,4 @@ def _csv(columns: Columns) -> bytes:
 
 
 def _cell(entry: Any) -> str:
-    if isinstance(entry, str):
-        return entry
-    if isinstance(entry, (bool, np.bool_)):
-        return str(int(entry))
-    return f"{float(entry):.{_DIGITS}g}"
+    return entry if isinstance(entry, str) else f"{float(entry):.{_DIGITS}g}"

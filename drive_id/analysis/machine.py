@@ -20,11 +20,9 @@ from drive_id.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     from drive_id.result.result import Result
 
-_MARGIN = 1.25
-"""Reach of the map, in i_max; a trajectory or a controller's overshoot may need more than the data cover."""
-_ANGLES = 180
-_FEWEST = 16
-"""Points with data from which a map can be continued."""
+_MARGIN = 1.25  # reach of the map, in i_max; a trajectory or a controller's overshoot may need more than the data cover
+_ANGLES = 180  # over a half turn of the current, for the fundamental of the drop and the rim of the disc
+_FEWEST = 16  # points with data from which a map can be continued
 
 
 @dataclass(frozen=True)
@@ -62,6 +60,10 @@ class IronLoss:
     def known(self) -> bool:
         """Whether any iron loss was identified."""
         return self != IronLoss()
+
+    def scaled(self, factor: float) -> IronLoss:
+        """Return this loss times a factor."""
+        return IronLoss(factor * self.conductance, factor * self.hysteresis, factor * self.coercivity)
 
     def current(self, e_dq: FloatArray, speed: FloatArray) -> FloatArray:
         """Return i_fe (..., 2), A, for induced voltages (..., 2), V, at electrical speeds (...), rad/s."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -81,7 +81,7 @@ class Operation:
 
     def chosen(self, rows: BoolArray) -> Operation:
         """Return some of the points along the first axis."""
-        return Operation(**{entry.name: getattr(self, entry.name)[rows] for entry in fields(self)})
+        return Operation(**{name: values[rows] for name, values in vars(self).items()})
 
     def inside(self, model: MachineModel) -> BoolArray:
         """Tell at which points (...) the map rests on data."""
@@ -101,6 +101,11 @@ class Operation:
     def mechanical(self) -> FloatArray:
         """Mechanical power (...), W: torque times speed, mechanical losses not included."""
         return self.torque * self.speed
+
+    @property
+    def losses(self) -> FloatArray:
+        """Sum of all losses (...), W."""
+        return self.copper + self.iron + self.inverter
 
     @property
     def efficiency(self) -> FloatArray:
@@ -126,40 +131,28 @@ class OperationErrors:
     @classmethod
     def of(cls, model: MachineModel, points: Operation) -> OperationErrors:
         """Propagate the errors of a model to its operating points; NaN outside the data."""
-        known = points.inside(model)
-        changes: dict[str, list[FloatArray]] = {
-            name: [] for name in ("torque", "voltage", "losses", "power", "efficiency")
-        }
-        for other in operations_with_errors(model, points):
-            changes["torque"].append(other.torque - points.torque)
-            changes["voltage"].append(other.voltage - points.voltage)
-            lost = [entry.copper + entry.iron + entry.inverter for entry in (other, points)]
-            changes["losses"].append(lost[0] - lost[1])
-            changes["power"].append(other.power - points.power)
-            changes["efficiency"].append(other.efficiency - points.efficiency)
-        unknown = np.full((1, *points.torque.shape), np.nan)
-        sigmas = {name: combined(np.array(of) if of else unknown) for name, of in changes.items()}
+        known, names = points.inside(model), [entry.name for entry in fields(cls)]
+        changed = changes(model, points, names)
+        sigmas = {name: np.nan if changed is None else combined(changed[name]) for name in names}
         return cls(**{name: np.where(known, sigma, np.nan) for name, sigma in sigmas.items()})
 
 
-def operations_with_errors(model: MachineModel, points: Operation) -> Iterator[Operation]:
-    """Yield the operating points with each cause of error of the model, at the same currents of the map."""
+def changes(model: MachineModel, points: Operation, names: Iterable[str]) -> dict[str, FloatArray] | None:
+    """Return the changes (M, ...) of figures by name with each cause of error of the model; None without errors.
+
+    The currents of the map stay the same.
+    """
     errors = model.errors
-    if errors is None:
-        return
+    if errors is None or not len(errors):
+        return None
     d, q = points.i_dq[..., 0], points.i_dq[..., 1]
-    psi, fluxes = np.stack(model.psi_dq(d, q), axis=-1), errors.fluxes(d, q)
-    for k, change in enumerate(fluxes):
-        iron = replace(
-            model.iron,
-            conductance=model.iron.conductance * (1 + errors.iron[k]),
-            hysteresis=model.iron.hysteresis * (1 + errors.iron[k]),
-            coercivity=model.iron.coercivity * (1 + errors.iron[k]),
-        )
+    psi, others = np.stack(model.psi_dq(d, q), axis=-1), []
+    for k, change in enumerate(errors.fluxes(d, q)):
         wrong = replace(
             model,
             resistance=model.resistance + errors.resistance[k],
             inverter_voltage=model.inverter_voltage + errors.inverter_voltage[k],
-            iron=iron,
+            iron=model.iron.scaled(1 + errors.iron[k]),
         )
-        yield Operation.of_flux(wrong, points.i_dq, psi + change, points.speed)
+        others.append(Operation.of_flux(wrong, points.i_dq, psi + change, points.speed))
+    return {name: np.array([getattr(other, name) - getattr(points, name) for other in others]) for name in names}

@@ -11,16 +11,14 @@ from drive_id.analysis.bands import combined
 from drive_id.analysis.machine import MachineModel
 from drive_id.types import BoolArray, FloatArray
 
-_ANGLES = 181
-"""Candidates per half turn."""
+_ANGLES = 181  # candidates per half turn
 _ZOOMS = 14  # rounds of search, each with half the step: down to 1e-6 rad
 _WIDTH = 4  # steps to both sides in each round
 _BISECTIONS = 40  # of the angle of an MTPV point: to rounding
 _CIRCLES = 61  # on which the beginning of the MTPV locus is looked for
 _BETWEEN = 17  # circles between the last one without and the first one with it
 _NARROWINGS = 4  # times that those are refined: to 3e-7 of i_max
-_ANGLE_STEP = np.deg2rad(1.0)
-"""For differences of the torque along a circle."""
+_ANGLE_STEP = np.deg2rad(1.0)  # for differences of the torque along a circle
 
 
 @dataclass(frozen=True, eq=False)

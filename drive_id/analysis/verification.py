@@ -29,17 +29,13 @@ from drive_id.settings import Checked, setting
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
-_ACROSS = 8
-"""Cells across the current disc."""
-_FEWEST = 40
-"""Ends of windows in a cell that counts."""
-_BLOCK = 0.05
-"""Duration of the blocks whose scatter gives the standard errors, s: several windows, which overlap."""
-_MOST_BLOCKS = 400
-_WARM, _LINK = 0.05, 0.05
-"""Standard deviations expected of R (13 K) and of the drop (DC link), relative, where no temperature is recorded."""
-_FLUX = 0.3
-"""Of the map's error, relative to the largest flux: bounds what standstill leaves open."""
+_ACROSS = 8  # cells across the current disc
+_FEWEST = 40  # ends of windows in a cell that counts
+_BLOCK = 0.05  # duration of the blocks whose scatter gives the standard errors, s: several windows, which overlap
+_MOST_BLOCKS = 400  # of a recording: longer ones get longer blocks
+_WARM = 0.05  # standard deviation expected of R, relative, where no temperature is recorded: that of 13 K
+_LINK = 0.05  # the same of the drop, which follows the DC link
+_FLUX = 0.3  # of the map's error, relative to the largest flux: bounds what standstill leaves open
 
 
 @dataclass(frozen=True)
@@ -114,31 +110,23 @@ class Verification:
         rms = float(np.sqrt(np.mean(self.in_sigma**2)))
         worst = float(np.abs(self.in_sigma).max())
         flux = 100 * float(np.abs(self.difference).max()) / self.largest
-        gain = None if self.torque is None else 100 * abs(self.torque.gain - 1.0)
         figures = [
             ("Flux, rms of all cells", rms, limits.rms_in_sigma, "standard errors"),
             ("Flux, worst cell", worst, limits.worst_in_sigma, "standard errors"),
             ("Flux, largest difference", flux, limits.flux, "% of the largest flux"),
             ("Resistance", 100 * abs(self.resistance[0]), limits.resistance, "%"),
             ("Inverter drop", 100 * abs(self.drop[0]), limits.drop, "%"),
-            *([("Torque", gain, limits.torque, "%")] if gain is not None else []),
         ]
-        out = [
-            Judgement(name, value, limit, unit, None if limit is None else value <= limit)
-            for name, value, limit, unit in figures
-        ]
-        if gain is None and limits.torque is not None:
-            out.append(
-                Judgement(
-                    "Torque",
-                    np.nan,
-                    limits.torque,
-                    "% (no torque was recorded, or the pole pairs are unknown)",
-                    passed=False,
-                )
-            )
+        if self.torque is not None:
+            figures.append(("Torque", 100 * abs(self.torque.gain - 1.0), limits.torque, "%"))
+        elif limits.torque is not None:  # NaN does not pass
+            unit = "% (no torque was recorded, or the pole pairs are unknown)"
+            figures.append(("Torque", np.nan, limits.torque, unit))
         covered = 100 * self.coverage
-        return (*out, Judgement("Disc recorded, at least", covered, limits.coverage, "%", covered >= limits.coverage))
+        return (
+            *(Judgement(*of, passed=None if of[2] is None else of[1] <= of[2]) for of in figures),
+            Judgement("Disc recorded, at least", covered, limits.coverage, "%", covered >= limits.coverage),
+        )
 
 
 def verify(result: Result, samples: Samples) -> Verification:
@@ -248,17 +236,16 @@ def _solved(
     starts = np.unique(block, return_index=True)[1]
     rows = np.concatenate([columns.real[:, None], columns.imag[:, None]], axis=1)  # (N, 2, K)
     seen = np.stack([response.real, response.imag], axis=1)
-    scale = prior
-    matrix = np.einsum("nrk,nrl->kl", rows, rows, optimize=True) * scale * scale[:, None]
+    matrix = np.einsum("nrk,nrl->kl", rows, rows, optimize=True) * prior * prior[:, None]
     noise = float(np.mean(seen**2))
-    target = np.einsum("nrk,nr->k", rows, seen) * scale
+    target = np.einsum("nrk,nr->k", rows, seen) * prior
     for _ in range(3):  # the noise is what the solution leaves
         inverse = np.linalg.inv(matrix + noise * np.eye(len(prior)))
         value = inverse @ target
-        left = seen - rows @ (value * scale)
+        left = seen - rows @ (value * prior)
         noise = max(float(np.mean(left**2)), 1e-12 * float(np.mean(seen**2)))
-    scores = np.add.reduceat(np.einsum("nrk,nr->nk", rows, left), starts, axis=0) * scale
+    scores = np.add.reduceat(np.einsum("nrk,nr->nk", rows, left), starts, axis=0) * prior
     used = float(np.trace(inverse @ matrix))
     freedom = len(starts) / max(len(starts) - 1.0, 1.0) * (1 + used / max(2.0 * len(response) - used, 1.0))
     covariance = inverse @ (freedom * scores.T @ scores + noise**2 * np.eye(len(prior))) @ inverse
-    return value * scale, np.sqrt(np.diag(covariance)) * scale
+    return value * prior, np.sqrt(np.diag(covariance)) * prior

@@ -140,9 +140,10 @@ def export_result(
 ) -> None:
     """Write the map of a result in the format of another tool, on a grid of your choice."""
     from drive_id.exchange.exports.axes import equal_steps, listed
-    from drive_id.exchange.exports.exporting import TableChoice, export_map
+    from drive_id.exchange.exports.exporting import export_map
     from drive_id.exchange.exports.formats import export_format
     from drive_id.exchange.exports.options import ExportOptions
+    from drive_id.exchange.exports.table import TableChoice
     from drive_id.fitting.result import load
 
     title = export_format(format_name).title

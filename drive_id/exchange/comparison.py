@@ -15,9 +15,8 @@ from drive_id.quantity import plain
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
-_CURVE_POINTS = 201
-_AGREEING = 4.0
-"""Joint standard errors that the largest of some hundred differences hardly exceeds by chance."""
+_CURVE_POINTS = 201  # of the difference of two inverter curves
+_AGREEING = 4.0  # joint standard errors that the largest of some hundred differences hardly exceeds by chance
 _OTHER_MACHINE = 0.08
 """NRMSE beyond which no temperature explains a difference: a neodymium magnet loses 0.12 % per kelvin, so 65 K."""
 
@@ -68,7 +67,7 @@ class Comparison:
     def in_sigma(self) -> FloatArray:
         """Differences in units of their joint standard error, (D, Q, 2); NaN where unknown."""
         usable = np.isfinite(self.sigma) & (self.sigma > 0)
-        return np.where(usable, self.difference / np.where(usable, self.sigma, 1.0), np.nan)
+        return self.difference / np.where(usable, self.sigma, np.nan)
 
     @property
     def resistance(self) -> float:
@@ -164,8 +163,7 @@ def compare(first: Result | str | Path, second: Result | str | Path) -> Comparis
     """
     first, second = (x if isinstance(x, Result) else Result.load(x) for x in (first, second))
     found, other = first.flux_map, second.flux_map
-    i_d, i_q = found.i_d, found.i_q
-    grid = np.meshgrid(i_d, i_q, indexing="ij")
+    grid = np.meshgrid(found.i_d, found.i_q, indexing="ij")
     psi, psi_other = (np.stack(each.psi_dq(*grid), axis=-1) for each in (found, other))
     difference = psi - psi_other
     common = np.asarray(np.isfinite(difference).all(axis=-1))
@@ -179,20 +177,9 @@ def compare(first: Result | str | Path, second: Result | str | Path) -> Comparis
     if pairs is not None and pairs == second.pole_pairs:
         own, others = (1.5 * pairs * (x[..., 0] * grid[1] - x[..., 1] * grid[0]) for x in (psi, psi_other))
         torque, largest = own - others, float(np.nanmax(np.abs(np.where(common, others, np.nan))))
-    current, curve = _curves(first, second)
+    apart = nrmse(psi[common], psi_other[common])
     return Comparison(
-        first,
-        second,
-        i_d,
-        i_q,
-        common,
-        difference,
-        sigma,
-        nrmse(psi[common], psi_other[common]),
-        torque,
-        largest,
-        current,
-        curve,
+        first, second, found.i_d, found.i_q, common, difference, sigma, apart, torque, largest, *_curves(first, second)
     )
 
 

@@ -65,7 +65,7 @@ def test_up_to_the_corner_speed_the_torque_is_that_of_mtpa(known):
     np.testing.assert_allclose(found.torque[:3], found.torque[0], rtol=1e-6)
     assert found.torque[3] < found.torque[0] * (1 - 1e-3)
     assert found.voltage[2] == pytest.approx(limits.u_max, rel=1e-4)
-    assert limits.names(found)[:2] == ["current", "current"]
+    assert limits.names(found)[:2].tolist() == ["current", "current"]
     assert limits.names(found)[3] in ("both", "voltage")  # MTPV begins soon in some
 
 
@@ -137,4 +137,4 @@ def test_a_machine_that_cannot_weaken_its_magnet_has_a_highest_speed():
     assert highest == pytest.approx(expected, rel=0.02)
     beyond = envelope(model, limits, np.array([1.1 * expected]))
     assert np.isnan(beyond.torque).all()
-    assert limits.names(beyond) == ["unreachable"]
+    assert limits.names(beyond).tolist() == ["unreachable"]

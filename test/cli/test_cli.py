@@ -484,7 +484,7 @@ def test_options_win_over_the_file_and_an_error_names_both(run, bag):
         (["--seconds", "inf"], "choose a duration"),
         (["--seconds", "1e12"], "choose a duration"),
         (["--seconds", "1e-3", "--set", "sample_period=1e-3"], "choose a duration"),
-        (["--set", "speeds=500"], "500: it must be a list of numbers"),
+        (["--set", "speeds=fast"], "'fast': it must be a list of numbers"),
         (["--set", "current_gain=[1, 2]"], "[1, 2]: it must be a list of 3 numbers"),
         (["--set", "speeds=[]"], "give at least one speed"),
         (["--speed", "nan"], "finite number"),

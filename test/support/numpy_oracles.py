@@ -140,3 +140,11 @@ def add_end_through(
     rows = np.zeros((len(column), 2, size))
     add_end(column, value, turn, start, factor, rows)
     out += (rows.reshape(-1, size) @ t).reshape(out.shape)
+
+
+def dense_rows(integrals, parameters):
+    """Return Z of sample integrals of the paper's regression as (M, 2, 3 + parameters)."""
+    basis = integrals.rows.dense(parameters)
+    total = integrals.half_turn[:, None, None] * (basis[1:] + basis[:-1])
+    flux = basis[1:] - basis[:-1] + np.stack([-total[:, 1], total[:, 0]], axis=1)
+    return np.concatenate([np.stack([integrals.q1, integrals.q4, integrals.v], axis=-1), flux], axis=-1)

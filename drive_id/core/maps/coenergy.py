@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from drive_id.core.maps.flux_models import BasisRows
+from drive_id.core.maps.flux_models import BasisRows, FluxModel
 from drive_id.core.numerics.bspline import spline_values, tensor_products
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray, IntArray
@@ -103,8 +103,8 @@ class SplineBasis:
 
 
 @dataclass(frozen=True, eq=False)
-class GradientSpline:
-    """Flux maps in the space of gradients of a co-energy spline: a :class:`~.flux_models.FluxModel`.
+class GradientSpline(FluxModel):
+    """Flux maps in the space of gradients of a co-energy spline.
 
     The parameters of psi_d, row-major in [i_d, i_q], come before those of psi_q.
 
@@ -128,49 +128,17 @@ class GradientSpline:
     @property
     def parameters(self) -> int:
         """Number of coefficients, for both fluxes."""
-        return self._count_d + self._count_q
-
-    @property
-    def _count_d(self) -> int:
-        return (self._low_d.count) * self._high_q.count
-
-    @property
-    def _count_q(self) -> int:
-        return self._high_d.count * self._low_q.count
+        return sum(d.count * q.count for d, q in self._bases)
 
     @cached_property
-    def _low_d(self) -> SplineBasis:
-        return SplineBasis(self.d, self.degree - 1)
+    def _bases(self) -> tuple[tuple[SplineBasis, SplineBasis], tuple[SplineBasis, SplineBasis]]:
+        """Splines along i_d and i_q of psi_d, and those of psi_q: of a degree less along the flux's own current."""
+        d, q = SplineBasis(self.d, self.degree), SplineBasis(self.q, self.degree)
+        return (SplineBasis(self.d, self.degree - 1), q), (d, SplineBasis(self.q, self.degree - 1))
 
-    @cached_property
-    def _high_d(self) -> SplineBasis:
-        return SplineBasis(self.d, self.degree)
-
-    @cached_property
-    def _low_q(self) -> SplineBasis:
-        return SplineBasis(self.q, self.degree - 1)
-
-    @cached_property
-    def _high_q(self) -> SplineBasis:
-        return SplineBasis(self.q, self.degree)
-
-    def rows(self, i_dq: FloatArray) -> BasisRows:
-        """Return B at currents (N, 2), A; currents outside the range are moved to its edge."""
-        i_d, i_q = i_dq[:, 0], i_dq[:, 1]
-        return self._joined(
-            self._low_d.values(i_d), self._high_q.values(i_q), self._high_d.values(i_d), self._low_q.values(i_q)
-        )
-
-    def slope_rows(self, i_dq: FloatArray) -> tuple[BasisRows, BasisRows]:
-        """Return dB/di_d and dB/di_q at currents (N, 2), A."""
-        i_d, i_q = i_dq[:, 0], i_dq[:, 1]
-        slopes_d = self._joined(
-            self._low_d.slopes(i_d), self._high_q.values(i_q), self._high_d.slopes(i_d), self._low_q.values(i_q)
-        )
-        slopes_q = self._joined(
-            self._low_d.values(i_d), self._high_q.slopes(i_q), self._high_d.values(i_d), self._low_q.slopes(i_q)
-        )
-        return slopes_d, slopes_q
+    def _rows(self, i_dq: FloatArray, order_d: int, order_q: int) -> BasisRows:
+        (d, q), _ = self._bases
+        return _products(i_dq, self._bases, ((order_d, order_q),) * 2, (0, d.count * q.count))
 
     def contains(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) which of the currents (N, 2), A, lie in the rectangle of the cells."""
@@ -180,34 +148,21 @@ class GradientSpline:
     @cached_property
     def potential(self) -> PotentialSpline:
         """The reciprocal maps of this space, by the coefficients of their co-energy."""
-        return PotentialSpline(self._high_d, self._high_q)
+        (_, q), (d, _) = self._bases
+        return PotentialSpline(d, q)
 
     @cached_property
     def gradient(self) -> sparse.csr_array:
         """G (parameters, potentials): ``gamma = G w`` is the gradient of the co-energy with coefficients w."""
-        psi_d = sparse.kron(self._high_d.derivative(), sparse.eye_array(self._high_q.count))
-        psi_q = sparse.kron(sparse.eye_array(self._high_d.count), self._high_q.derivative())
+        (_, q), (d, _) = self._bases
+        psi_d = sparse.kron(d.derivative(), sparse.eye_array(q.count))
+        psi_q = sparse.kron(sparse.eye_array(d.count), q.derivative())
         return sparse.csr_array(sparse.vstack([psi_d, psi_q]))
 
     @cached_property
     def roughness(self) -> sparse.csr_array:
         """P (parameters, parameters): ``gamma' P gamma`` sums the squared second differences of the coefficients."""
-        d = _differences(self._low_d.count, self._high_q.count)
-        q = _differences(self._high_d.count, self._low_q.count)
-        return sparse.csr_array(sparse.block_diag([d, q]))
-
-    def _joined(
-        self,
-        d_low: tuple[IntArray, FloatArray],
-        q_high: tuple[IntArray, FloatArray],
-        d_high: tuple[IntArray, FloatArray],
-        q_low: tuple[IntArray, FloatArray],
-    ) -> BasisRows:
-        functions = d_low[1].shape[1] * q_high[1].shape[1]
-        column, value = np.empty((len(d_low[0]), 2, functions), np.int32), np.empty((len(d_low[0]), 2, functions))
-        tensor_products(*d_low, *q_high, self._high_q.count, 0, column[:, 0], value[:, 0])
-        tensor_products(*d_high, *q_low, self._low_q.count, self._count_d, column[:, 1], value[:, 1])
-        return BasisRows(column, value)
+        return sparse.csr_array(sparse.block_diag([_differences(d.count, q.count) for d, q in self._bases]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,13 +182,25 @@ class PotentialSpline:
 
     def rows(self, i_dq: FloatArray) -> BasisRows:
         """Return B at currents (N, 2), A: both fluxes have the same columns."""
-        i_d, i_q = i_dq[:, 0], i_dq[:, 1]
-        functions = (self.d.degree + 1) * (self.q.degree + 1)
-        column, value = np.empty((len(i_d), 2, functions), np.int32), np.empty((len(i_d), 2, functions))
-        sides = (self.d.slopes(i_d), self.q.values(i_q)), (self.d.values(i_d), self.q.slopes(i_q))
-        for flux, (along_d, along_q) in enumerate(sides):
-            tensor_products(*along_d, *along_q, self.q.count, 0, column[:, flux], value[:, flux])
-        return BasisRows(column, value)
+        return _products(i_dq, ((self.d, self.q),) * 2, ((1, 0), (0, 1)), (0, 0))
+
+
+def _products(
+    i_dq: FloatArray,
+    bases: tuple[tuple[SplineBasis, SplineBasis], tuple[SplineBasis, SplineBasis]],
+    orders: tuple[tuple[int, int], tuple[int, int]],
+    starts: tuple[int, int],
+) -> BasisRows:
+    """Return for both fluxes products of splines along i_d and i_q, or of their derivatives, from a column on."""
+    functions = (bases[0][0].degree + 1) * (bases[0][1].degree + 1)
+    column, value = np.empty((len(i_dq), 2, functions), np.int32), np.empty((len(i_dq), 2, functions))
+    for flux, (of_flux, order, start) in enumerate(zip(bases, orders, starts, strict=True)):
+        (first_d, w_d), (first_q, w_q) = (
+            basis.slopes(i) if slope else basis.values(i)
+            for basis, i, slope in zip(of_flux, i_dq.T, order, strict=True)
+        )
+        tensor_products(first_d, w_d, first_q, w_q, of_flux[1].count, start, column[:, flux], value[:, flux])
+    return BasisRows(column, value)
 
 
 def _differences(count_d: int, count_q: int) -> sparse.coo_array:

@@ -13,13 +13,11 @@ from drive_id.core.maps.coenergy import PotentialSpline, SplineBasis
 from drive_id.core.numerics.normal_equations import solved
 from drive_id.types import FloatArray, IntArray
 
-_FASTER = 20.0
-"""Factor by which the weight of the barrier falls from round to round."""
-_MOST_STEPS = 300
-_CLOSE = 0.05
-"""Newton decrement, squared, at which a round ends."""
-_SHARE_OF_WAY = 0.95
-_ENOUGH = 0.1
+_FASTER = 20.0  # factor by which the weight of the barrier falls from round to round
+_MOST_STEPS = 300  # of Newton's method in all rounds
+_CLOSE = 0.05  # Newton decrement, squared, at which a round ends
+_SHARE_OF_WAY = 0.95  # that a step may go towards the first singular matrix
+_ENOUGH = 0.1  # share of the predicted decline that a step must reach (Armijo)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +70,7 @@ class HessianForms:
         weights : (3, 3, S_d, S_q) float
             Symmetric in k and l.
         """
-        (d, other_d), (q, other_q) = self._pairs_d, self._pairs_q
+        (d, other_d), (q, other_q) = self._pairs
         total = np.zeros((len(d), len(q)))
         for k in range(3):
             for m in range(3):
@@ -90,12 +88,10 @@ class HessianForms:
         return float(((a + c) / 2 - np.hypot((a - c) / 2, b)).min())
 
     @cached_property
-    def _pairs_d(self) -> tuple[IntArray, IntArray]:
-        return _overlapping(self.d)
-
-    @cached_property
-    def _pairs_q(self) -> tuple[IntArray, IntArray]:
-        return _overlapping(self.q)
+    def _pairs(self) -> list[tuple[IntArray, ...]]:
+        """Of spline coefficients that a common Bernstein coefficient depends on, along both axes."""
+        met = [(forms[0] != 0).astype(np.float64) for forms in (self.d, self.q)]
+        return [np.nonzero(along.T @ along) for along in met]
 
 
 def barrier_minimum(
@@ -178,13 +174,6 @@ def _largest_step(h: FloatArray, along: FloatArray) -> float:
     least = half - np.sqrt(np.maximum(half**2 - (x * z - y**2) / det, 0.0))
     smallest = float(least.min())
     return -1 / smallest if smallest < 0 else np.inf
-
-
-def _overlapping(forms: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the pairs of spline coefficients that a common Bernstein coefficient depends on."""
-    met = forms[0] != 0
-    first, second = np.nonzero(met.T.astype(np.float64) @ met)
-    return first, second
 
 
 def _bernstein(basis: SplineBasis) -> FloatArray:

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-_STRAY_SHARE = 0.1
-_ROUNDING = 1 + 1e-9
-"""Holes are mostly a whole number of nodes wide, which must not depend on rounding."""
+_STRAY_SHARE = 0.1  # of the typical count of a node, below which samples beyond the rim count as stray
+_ROUNDING = 1 + 1e-9  # holes are mostly a whole number of nodes wide, which must not depend on rounding
 
 
 class Visits:

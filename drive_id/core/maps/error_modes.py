@@ -12,15 +12,11 @@ from drive_id.core.maps.flux_models import BasisRows
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-MOST_MODES = 48
-_LARGEST = 2**23
-"""Values of all modes of both fluxes; fine grids get fewer modes."""
-_HELD = 0.995
-"""Share of the variance that the modes hold before each value is scaled to its standard error."""
-_SITES = 200
-"""Points of the map, about, by whose fluxes and slopes the modes are chosen."""
-_SHARE_OF_OTHERS = 0.1
-"""Weight of the other values in this choice, relative to that of the fluxes."""
+MOST_MODES = 48  # that a result keeps
+_LARGEST = 2**23  # values of all modes of both fluxes; fine grids get fewer modes
+_HELD = 0.995  # share of the variance that the modes hold before each value is scaled to its standard error
+_SITES = 200  # points of the map, about, by whose fluxes and slopes the modes are chosen
+_SHARE_OF_OTHERS = 0.1  # weight of the other values in this choice, relative to that of the fluxes
 
 
 @dataclass(frozen=True, eq=False)

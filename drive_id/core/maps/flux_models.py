@@ -1,13 +1,13 @@
 """Flux models linear in their parameters, ``f(i) = B(i) gamma`` (``eq:splines``): tensor splines and polynomials.
 
-The regression needs only the rows of B, see the :class:`FluxModel` protocol. Rows are sparse: per sample and axis
+The regression needs only the rows of B, see :class:`FluxModel`. Rows are sparse: per sample and axis
 (d, q), K columns and their values.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,19 +58,27 @@ class BasisRows:
         return out
 
 
-class FluxModel(Protocol):
+class FluxModel(ABC):
     """Flux linkages psi_dq(i_dq), linear in ``parameters`` coefficients."""
 
     @property
+    @abstractmethod
     def parameters(self) -> int:
-        """Number of coefficients."""
+        """Number of coefficients, for both fluxes."""
 
     def rows(self, i_dq: FloatArray) -> BasisRows:
-        """Return B at currents (N, 2), A."""
+        """Return B at currents (N, 2), A; splines move currents outside their range to its edge."""
+        return self._rows(i_dq, 0, 0)
 
     def slope_rows(self, i_dq: FloatArray) -> tuple[BasisRows, BasisRows]:
-        """Return dB/di_d and dB/di_q at currents (N, 2), A, see :func:`jacobian`."""
+        """Return the analytic dB/di_d and dB/di_q at currents (N, 2), A, see :func:`jacobian`."""
+        return self._rows(i_dq, 1, 0), self._rows(i_dq, 0, 1)
 
+    @abstractmethod
+    def _rows(self, i_dq: FloatArray, order_d: int, order_q: int) -> BasisRows:
+        """Return the derivative of B whose order is 0 or 1 by i_d and by i_q."""
+
+    @abstractmethod
     def contains(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) which of the currents (N, 2), A, lie where the model is defined."""
 
@@ -81,7 +89,7 @@ def jacobian(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> FloatArra
 
 
 @dataclass(frozen=True)
-class TensorSpline:
+class TensorSpline(FluxModel):
     """Tensor-product cubic B-splines (the paper's model); gamma_d before gamma_q, each row-major in [i_d, i_q].
 
     Parameters
@@ -97,14 +105,6 @@ class TensorSpline:
     def parameters(self) -> int:
         """Number of coefficients, for both fluxes."""
         return 2 * self.d.count * self.q.count
-
-    def rows(self, i_dq: FloatArray) -> BasisRows:
-        """Return B at currents (N, 2), A; currents outside the range are moved to its edge."""
-        return self._rows(i_dq, 0, 0)
-
-    def slope_rows(self, i_dq: FloatArray) -> tuple[BasisRows, BasisRows]:
-        """Return the analytic dB/di_d and dB/di_q at currents (N, 2), A."""
-        return self._rows(i_dq, 1, 0), self._rows(i_dq, 0, 1)
 
     def _rows(self, i_dq: FloatArray, order_d: int, order_q: int) -> BasisRows:
         column = np.empty((len(i_dq), 2, 16), np.int32)
@@ -154,7 +154,7 @@ def _tensor_rows(
 
 
 @dataclass(frozen=True)
-class Polynomial:
+class Polynomial(FluxModel):
     """Polynomials of total degree ``degree`` in i_d / scale and i_q / scale, one for psi_d and one for psi_q.
 
     Degree 1 is the linear machine with cross-coupling, ``psi = psi_m + L i``; higher degrees add saturation.
@@ -181,17 +181,13 @@ class Polynomial:
         if not self.scale > 0:
             raise ConfigurationError(f"The polynomial's current scale is {self.scale} A: it must be positive.")
 
-    def _exponents(self) -> NDArray[np.int64]:
-        pairs = [(m, n) for m in range(self.degree + 1) for n in range(self.degree + 1 - m)]
-        return np.array(pairs)
-
     @property
     def parameters(self) -> int:
         """Number of coefficients, for both fluxes."""
         return (self.degree + 1) * (self.degree + 2)
 
-    def _monomials(self, i_dq: FloatArray, order_d: int, order_q: int) -> BasisRows:
-        m, n = self._exponents().T
+    def _rows(self, i_dq: FloatArray, order_d: int, order_q: int) -> BasisRows:
+        m, n = np.array([(m, n) for m in range(self.degree + 1) for n in range(self.degree + 1 - m)]).T
         x, y = np.moveaxis(i_dq / self.scale, -1, 0)[:, :, None]
         factor = (m if order_d else 1) * (n if order_q else 1) / self.scale ** (order_d + order_q)
         values = factor * x ** np.maximum(m - order_d, 0) * y ** np.maximum(n - order_q, 0)
@@ -201,14 +197,6 @@ class Polynomial:
             np.ascontiguousarray(np.broadcast_to(columns, shape)),
             np.ascontiguousarray(np.broadcast_to(values[:, None, :], shape)),
         )
-
-    def rows(self, i_dq: FloatArray) -> BasisRows:
-        """Return B at currents (N, 2), A."""
-        return self._monomials(i_dq, 0, 0)
-
-    def slope_rows(self, i_dq: FloatArray) -> tuple[BasisRows, BasisRows]:
-        """Return dB/di_d and dB/di_q at currents (N, 2), A."""
-        return self._monomials(i_dq, 1, 0), self._monomials(i_dq, 0, 1)
 
     def contains(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) that a polynomial is defined everywhere."""
@@ -274,8 +262,8 @@ def extend(model: TensorSpline, gamma: FloatArray, weak: BoolArray, inductances:
     (P,) float
         Coefficients, Wb; the steps between neighbours fit the slopes by least squares.
     """
-    steps_d = np.kron(_steps(model.d.count), np.eye(model.q.count))
-    steps_q = np.kron(np.eye(model.d.count), _steps(model.q.count))
+    steps_d = np.kron(np.diff(np.eye(model.d.count), axis=0), np.eye(model.q.count))
+    steps_q = np.kron(np.eye(model.d.count), np.diff(np.eye(model.q.count), axis=0))
     steps = np.concatenate([steps_d, steps_q])
     slope_d, slope_q = inductances[0] * model.d.width, inductances[1] * model.q.width
     wanted_d = np.repeat([slope_d, 0.0], [len(steps_d), len(steps_q)])
@@ -287,7 +275,3 @@ def extend(model: TensorSpline, gamma: FloatArray, weak: BoolArray, inductances:
             target = wanted - steps[:, fixed] @ gamma[flux[fixed]]
             out[flux[free]] = np.linalg.lstsq(steps[:, free], target, rcond=None)[0]
     return out
-
-
-def _steps(count: int) -> FloatArray:
-    return np.eye(count)[1:] - np.eye(count)[:-1]

@@ -12,11 +12,9 @@ from drive_id.core.numerics.compiled import compiled
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray
 
-_FLAT = 1e-5
-"""Steps of the current, relative to the scale of a curve, over which its mean is that in the middle."""
-_SERIES_BELOW = 0.02
-_FINEST = 800.0
-"""Largest current over the scale of the steepest curve."""
+_FLAT = 1e-5  # steps of the current, relative to the scale of a curve, over which its mean is that in the middle
+_SERIES_BELOW = 0.02  # relative difference, below which the logarithm would cancel
+_FINEST = 800.0  # largest current over the scale of the steepest curve
 
 
 @dataclass(frozen=True)

@@ -28,27 +28,24 @@ from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-DEGREE = 4
-FEWEST_POINTS = 8
-REACH = 1.3
-MARGIN = 0.01
+DEGREE = 4  # of the co-energy: the inductances are continuous with their first derivatives
+FEWEST_POINTS = 8  # from which a map is fitted
+REACH = 1.3  # of the rectangle beyond the points, see :func:`fit_monotone`
+MARGIN = 0.01  # least inductance relative to the typical one
 _FEWEST_CELLS = 10  # along an axis: a bridge that saturates takes some
 _MOST_CELLS = 20  # the time of a constrained fit grows with the sixth power of them
-_CELLS_PER_ROOT = 1.0
-"""Cells along an axis per root of the number of points."""
-_BENDS = (1.0, 2.0, 3.0, 4.0)
-_WEIGHTS = np.geomspace(1e-11, 1e-1, 11)
-_FINER = np.geomspace(0.1, 10, 5)[1:-1]
+_CELLS_PER_ROOT = 1.0  # cells along an axis per root of the number of points
+_BENDS = (1.0, 2.0, 3.0, 4.0)  # candidates: cells at zero current are up to 27 times narrower than at the rim
+_WEIGHTS = np.geomspace(1e-11, 1e-1, 11)  # candidates of the roughness
+_FINER = np.geomspace(0.1, 10, 5)[1:-1]  # factors around the best of them
 DECLINE = 0.5
 """Beyond the points, slopes tend to fall with this power of the distance from zero current."""
-_LEAST_BEYOND = 1e-8
-"""Least weight of the slopes beyond the points: strong enough to hold there."""
-_BEYOND = 3.0
-"""The same relative to that of the roughness: weak enough not to move the map within the points."""
-_SITES = 2
-_STEP = 0.05
-_FOLDS = 5
-_SEED = 20
+_LEAST_BEYOND = 1e-8  # least weight of the slopes beyond the points: strong enough to hold there
+_BEYOND = 3.0  # the same relative to that of the roughness: weak enough not to move the map within the points
+_SITES = 2  # per cell along an axis, at which the slopes beyond the points are held
+_STEP = 0.05  # relative, of the distance from zero current, for differences of these slopes
+_FOLDS = 5  # of the cross-validation
+_SEED = 20  # any: equal points give equal maps
 
 
 @dataclass(frozen=True)
@@ -322,23 +319,22 @@ class _Problem:
     def _all(self) -> tuple[FloatArray, FloatArray]:
         return self.sums(np.ones(len(self.points.i), np.bool_))
 
-    def _matrix(self, normal: FloatArray, weight: float, count: int) -> FloatArray:
-        return normal / (2 * count) + max(_LEAST_BEYOND, _BEYOND * weight) * self.beyond + weight * self.rough
+    def _minimum(
+        self, normal: FloatArray, right: FloatArray, weight: float, count: int
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return matrix and right side of the normal equations of some points with these sums."""
+        matrix = normal / (2 * count) + max(_LEAST_BEYOND, _BEYOND * weight) * self.beyond + weight * self.rough
+        return matrix, right / (2 * count)
 
     def free(self, weight: float) -> FloatArray:
         """Return the coefficients that minimize without constraints."""
-        normal, right = self._all
-        count = len(self.points.i)
-        return solved(self._matrix(normal, weight, count), right / (2 * count))
+        return solved(*self._minimum(*self._all, weight, len(self.points.i)))
 
     def convex(self, weight: float, start: FloatArray, forms: HessianForms, least: float) -> FloatArray:
         """Return the coefficients that minimize among those of a convex co-energy."""
-        normal, right = self._all
-        count = len(self.points.i)
+        normal, right = self._minimum(*self._all, weight, len(self.points.i))
         tolerance = max(1e-10, 1e-3 * _rms(self.at_points(start) - self.points.psi) ** 2 / 4)
-        return barrier_minimum(
-            self._matrix(normal, weight, count), right / (2 * count), forms, start, self.points.slope, least, tolerance
-        )
+        return barrier_minimum(normal, right, forms, start, self.points.slope, least, tolerance)
 
     def errors(self, candidates: FloatArray) -> FloatArray:
         """Return the cross-validated errors of the unconstrained map for weights of the roughness."""
@@ -351,7 +347,7 @@ class _Problem:
             rows, psi = self.rows[np.repeat(left_out, 2)], self.points.psi[left_out].ravel()
             count = int((~left_out).sum())
             for k, weight in enumerate(candidates):
-                w = solved(self._matrix(normal - own_normal, weight, count), (right - own_right) / (2 * count))
+                w = solved(*self._minimum(normal - own_normal, right - own_right, weight, count))
                 errors[k] += self.points.weights[left_out].ravel() @ (rows @ w - psi) ** 2
         return errors
 

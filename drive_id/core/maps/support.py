@@ -10,10 +10,10 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from drive_id.types import BoolArray, FloatArray
 
-_NEIGHBOURS = 4
+_NEIGHBOURS = 4  # of a point: their distance is the typical spacing, also of a grid
 _HOLE = 2.5
 """Radius of the largest hole between the points that a map bridges, in typical distances of the fourth neighbour."""
-_ROUNDING = 1e-9
+_ROUNDING = 1e-9  # of currents, relative to the largest
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from drive_id.types import BoolArray, FloatArray, Samples
 CHUNK = 8192
 """Samples processed at a time, which bounds the memory for recordings of any length."""
 
-_BLOCK_MEMORY = 2e8
+_BLOCK_MEMORY = 2e8  # bytes, of all blocks
 
 
 class RegressionSums:

@@ -46,13 +46,6 @@ class SampleIntegrals:
     inside: BoolArray
     valid: BoolArray
 
-    def dense(self, parameters: int) -> FloatArray:
-        """Return Z as (M, 2, 3 + parameters), for short recordings only."""
-        basis = self.rows.dense(parameters)
-        total = self.half_turn[:, None, None] * (basis[1:] + basis[:-1])
-        flux = basis[1:] - basis[:-1] + np.stack([-total[:, 1], total[:, 0]], axis=1)
-        return np.concatenate([np.stack([self.q1, self.q4, self.v], axis=-1), flux], axis=-1)
-
 
 def sample_integrals(
     samples: Samples, part: slice, model: FluxModel, shape: TanhShape, left_out: BoolArray | None = None

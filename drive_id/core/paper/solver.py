@@ -13,7 +13,7 @@ from drive_id.types import FloatArray, IntArray
 RANK_TOLERANCE = 1e-6
 """Singular values of the column-scaled rows below this share of the largest count as zero."""
 
-_LEVERAGE_FLOOR = 1e-3
+_LEVERAGE_FLOOR = 1e-3  # keeps a block finite that alone determines an unknown
 
 
 @dataclass(frozen=True, eq=False)

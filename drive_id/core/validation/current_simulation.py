@@ -22,23 +22,13 @@ from drive_id.core.numerics import bspline
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import FloatArray, Samples
 
-_LARGEST_TURN = 0.3
-"""Largest angle turned in one step, rad."""
-
-_LARGEST_PHASE = 1.2
-"""Largest phase that the highest harmonic passes in one step, rad."""
-
-_FINEST = 32
-"""Finest division of a step where the loss bends, that is, where a phase current changes its sign."""
-
-_BEND = 1e-5
-"""Error of a step above which it is divided, relative to the flux of the largest current."""
-
-_DIVERGED = 5.0
-"""Current at which a simulation is given up, over the largest current of the map."""
-
-_DAMPING = 0.1
-_SEARCH_STEPS = 20
+_LARGEST_TURN = 0.3  # largest angle turned in one step, rad
+_LARGEST_PHASE = 1.2  # largest phase that the highest harmonic passes in one step, rad
+_FINEST = 32  # finest division of a step where the loss bends, that is, where a phase current changes its sign
+_BEND = 1e-5  # error of a step above which it is divided, relative to the flux of the largest current
+_DIVERGED = 5.0  # current at which a simulation is given up, over the largest current of the map
+_DAMPING = 0.1  # least, of a search that leads away, over the typical inductance
+_SEARCH_STEPS = 20  # at most
 _SEARCH_TOLERANCE = 3e-6
 """Last change of a search over the current of divergence: the steps are Newton's, so the next one is its square."""
 _FOLDED = 0.1
@@ -181,17 +171,13 @@ def loss(i_alpha: float, i_beta: float, resistance: float, curve: FloatArray) ->
     return resistance * i_alpha + alpha, resistance * i_beta + beta
 
 
-def new_slice(orders: int) -> FloatArray:
-    """Return an empty slice for the kernels: the map at one angle of the rotor, in the cell where it was needed last.
-
-    It holds the 32 coefficients there, the cell's number, and cosine and sine of each harmonic's phase.
-    """
-    return np.zeros(33 + 2 * orders)
-
-
 @compiled("f8, const f8[::1], f8[::1]")
 def turn_to(theta: float, orders: FloatArray, here: FloatArray) -> None:
-    """Prepare a slice of the map at another angle."""
+    """Prepare ``here``, a slice of the map at one angle of the rotor, for another angle.
+
+    It holds the 32 coefficients of the cell where the map was needed last, the number of that cell, and cosine and sine
+    of each harmonic's phase.
+    """
     here[32] = -1.0
     for m in range(len(orders)):
         here[33 + 2 * m], here[34 + 2 * m] = math.cos(orders[m] * theta), math.sin(orders[m] * theta)

@@ -20,8 +20,7 @@ from drive_id.types import FloatArray, IntArray, Samples
 Flux = Callable[[FloatArray, FloatArray], FloatArray]
 """Returns psi_dq (W, 2), Wb, at currents i_dq (W, 2), A, and electrical angles (W,), rad."""
 
-_LONGEST = 0.01
-"""s; of a window, where the rotor hardly turns."""
+_LONGEST = 0.01  # s; of a window, where the rotor hardly turns
 
 
 class Residual(NamedTuple):

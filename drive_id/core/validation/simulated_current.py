@@ -9,10 +9,9 @@ import numpy as np
 
 from drive_id.types import FloatArray, Samples
 
-_SECONDS, _POINTS = 1.0, 2000
-"""Of the excerpt."""
-_BINS = 400
-"""Of the deviation over time."""
+_SECONDS = 1.0  # of the excerpt, at most
+_POINTS = 2000  # of the excerpt: a picture shows no more
+_BINS = 400  # of the deviation over time
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,9 +9,8 @@ import numpy as np
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray
 
-_MOST_POINTS = 2001
-_HALF = 20
-"""Steps from zero to i_max."""
+_MOST_POINTS = 2001  # of an axis: tables of both fluxes then take 64 MB
+_HALF = 20  # steps from zero to i_max
 
 
 def equal_steps(count: int, low: float, high: float) -> FloatArray:
@@ -23,19 +22,12 @@ def equal_steps(count: int, low: float, high: float) -> FloatArray:
         raise ConfigurationError(f"--grid is {count}: choose 4 to {_MOST_POINTS} points.")
     if not (math.isfinite(low) and math.isfinite(high) and low <= 0 <= high and low < high):
         raise ConfigurationError(f"--range is {low:g} to {high:g} A: it must be finite, increase and contain 0.")
-    step = (high - low) / (count - 1)
-    zero = -low / step
-    if abs(zero - round(zero)) > 1e-6:
+    if not _has_zero(count, low, high):
         fitting = [n for n in range(max(4, count - 20), count + 21) if _has_zero(n, low, high)]
-        if not fitting:
-            raise ConfigurationError(
-                f"{count} points from {low:g} to {high:g} A do not contain 0: choose another range."
-            )
-        nearest = min(fitting, key=lambda n: (abs(n - count), -n))
-        raise ConfigurationError(
-            f"{count} points from {low:g} to {high:g} A do not contain 0: choose --grid {nearest}."
-        )
-    return clean(low + step * np.arange(count, dtype=np.float64))
+        nearest = min(fitting, key=lambda n: (abs(n - count), -n), default=None)
+        remedy = "another range" if nearest is None else f"--grid {nearest}"
+        raise ConfigurationError(f"{count} points from {low:g} to {high:g} A do not contain 0: choose {remedy}.")
+    return clean(low + (high - low) / (count - 1) * np.arange(count, dtype=np.float64))
 
 
 def _has_zero(count: int, low: float, high: float) -> bool:

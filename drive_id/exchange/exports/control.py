@@ -15,8 +15,7 @@ from drive_id.types import FloatArray
 
 _SPEEDS = 25  # of the table
 _TORQUES = 10  # of the table, on each side of zero
-_WEAKENING = 4.0
-"""Highest speed, in corner speeds."""
+_WEAKENING = 4.0  # highest speed, in corner speeds
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,38 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from drive_id.errors import CoverageError, OutputError
-from drive_id.exchange.exports.axes import default_axis
 from drive_id.exchange.exports.formats import ExportFormat, export_format
 from drive_id.exchange.exports.options import ExportOptions
-from drive_id.exchange.exports.table import MapTable
-from drive_id.exchange.exports.writers import powertrain
+from drive_id.exchange.exports.table import MapTable, TableChoice
+from drive_id.exchange.exports.writers import matlab
 from drive_id.files.results.folder import check_absent, replace_file
 from drive_id.result.result import Result
-from drive_id.types import FloatArray
 
-_COARSE = 0.01
-"""Error of bilinear interpolation, by the largest flux, above which it is told."""
-
-
-@dataclass(frozen=True, eq=False)
-class TableChoice:
-    """Which table to write.
-
-    Parameters
-    ----------
-    i_d, i_q : (D,), (Q,) float or None
-        Axes, A; None: 41 points from -i_max to i_max.
-    filled : bool
-        Continue the map where there are no data.
-    pole_pairs, u_dc : int, float or None
-        Instead of those of the result; V.
-    """
-
-    i_d: FloatArray | None = None
-    i_q: FloatArray | None = None
-    filled: bool = False
-    pole_pairs: int | None = None
-    u_dc: float | None = None
+_COARSE = 0.01  # error of bilinear interpolation, by the largest flux, above which it is told
 
 
 @dataclass(frozen=True)
@@ -67,17 +43,12 @@ class Exported:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Sentences."""
-        return (*self._on_gaps(), *self.remarks)
-
-    def _on_gaps(self) -> tuple[str, ...]:
         if not self.missing:
-            return ()
-        what = f"{self.missing} of {self.points} points of the table have no data"
+            return self.remarks
+        told = f"{self.gaps}; choose a smaller --range or a larger --grid, or --fill them with a continuation."
         if self.filled:
-            return (f"{what}: they hold a continuation of the map.",)
-        return (
-            f"{what}: {self.gaps}; choose a smaller --range or a larger --grid, or --fill them with a continuation.",
-        )
+            told = "they hold a continuation of the map."
+        return (f"{self.missing} of {self.points} points of the table have no data: {told}", *self.remarks)
 
 
 def content_of(
@@ -93,8 +64,7 @@ def content_of(
         When no point of the table has data.
     """
     chosen, wanted = export_format(name), choice or TableChoice()
-    i_d, i_q = (default_axis(result.i_max) if axis is None else axis for axis in (wanted.i_d, wanted.i_q))
-    table = MapTable.of(result, i_d, i_q, filled=wanted.filled, pole_pairs=wanted.pole_pairs, u_dc=wanted.u_dc)
+    table = MapTable.of(result, wanted)
     if not chosen.grid and not table.machine.inside(0.0, 0.0):
         raise CoverageError(f"The map has no data at zero current, from which --format {name} takes its numbers.")
     content = chosen.write(table, options or ExportOptions())
@@ -113,8 +83,8 @@ def _remarks(table: MapTable, chosen: ExportFormat) -> tuple[str, ...]:
             "The map is not monotone everywhere within the data: inductances and gains of single numbers are those of "
             "the nearest monotone map, and the tables hold the map itself; set monotone in the fit for a monotone one."
         )
-    if chosen.write is powertrain.write_machine:
-        missing = int(np.isnan(powertrain.inverse_maps(table)[2]).sum())
+    if chosen.write is matlab.write_powertrain:
+        missing = int(np.isnan(matlab.inverse_maps(table)[2]).sum())
         if missing:
             out.append(
                 f"{missing} of {table.inside.size} currents of the inverse table are NaN, for no data reach these "

@@ -2,36 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import Protocol
 
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
-from drive_id.exchange.exports.writers import (
-    c_header,
-    controllers,
-    csv_file,
-    fmu,
-    machine_file,
-    modelica,
-    motor_control,
-    motulator,
-    netcdf,
-    plecs,
-    powertrain,
-    simscape,
-    syre,
-)
+from drive_id.exchange.exports.writers import c_header, controllers, fmu, matlab, netcdf, npz, text
 
-
-class Writer(Protocol):
-    """Writes a table in one format."""
-
-    def __call__(self, table: MapTable, options: ExportOptions) -> bytes:
-        """Return the content of the file; raises ConfigurationError when the format cannot hold the table."""
+Writer = Callable[[MapTable, ExportOptions], bytes]
+"""Returns the content of a file; raises ConfigurationError when the format cannot hold the table."""
 
 
 @dataclass(frozen=True)
@@ -59,27 +40,27 @@ class ExportFormat:
 
 
 EXPORTS: Mapping[str, ExportFormat] = {
-    "csv": ExportFormat("text with one row for each point", ".csv", csv_file.write),
+    "csv": ExportFormat("text with one row for each point", ".csv", text.write_csv),
     "netcdf": ExportFormat("netCDF 3, for xarray", ".nc", netcdf.write),
-    "machine": ExportFormat("machine file of drive_id", ".npz", machine_file.write),
-    "motulator": ExportFormat("flux map of motulator", ".npz", motulator.write),
+    "machine": ExportFormat("machine file of drive_id", ".npz", npz.write_machine),
+    "motulator": ExportFormat("flux map of motulator", ".npz", npz.write_motulator),
     "gradnet-data": ExportFormat(
-        "training data of motulator-gradnet", ".npz", motulator.write_samples, gaps="they are left out"
+        "training data of motulator-gradnet", ".npz", npz.write_gradnet_data, gaps="they are left out"
     ),
-    "syre": ExportFormat("SyR-e flux file fdfq_idiq_n256.mat", ".mat", syre.write_flux),
-    "syre-model": ExportFormat("SyR-e motor model (MMM)", ".mat", syre.write_model),
-    "simscape": ExportFormat("Simscape FEM-Parameterized PMSM, 3-D flux linkages", ".mat", simscape.write_fem),
-    "simscape-2d": ExportFormat("Simscape PMSM with tabulated inductances", ".mat", simscape.write_tabulated),
-    "motor-control": ExportFormat("Motor Control Blockset", ".mat", motor_control.write),
-    "powertrain": ExportFormat("Powertrain Blockset flux-based PMSM", ".mat", powertrain.write_machine),
+    "syre": ExportFormat("SyR-e flux file fdfq_idiq_n256.mat", ".mat", matlab.write_syre),
+    "syre-model": ExportFormat("SyR-e motor model (MMM)", ".mat", matlab.write_syre_model),
+    "simscape": ExportFormat("Simscape FEM-Parameterized PMSM, 3-D flux linkages", ".mat", matlab.write_simscape),
+    "simscape-2d": ExportFormat("Simscape PMSM with tabulated inductances", ".mat", matlab.write_simscape_2d),
+    "motor-control": ExportFormat("Motor Control Blockset", ".mat", matlab.write_motor_control),
+    "powertrain": ExportFormat("Powertrain Blockset flux-based PMSM", ".mat", matlab.write_powertrain),
     "powertrain-controller": ExportFormat(
-        "Powertrain Blockset flux-based PM controller", ".mat", powertrain.write_controller
+        "Powertrain Blockset flux-based PM controller", ".mat", matlab.write_powertrain_controller
     ),
     "c-header": ExportFormat("C99 header with its reader", ".h", c_header.write),
     "fmu": ExportFormat("FMU of FMI 3.0 with its C sources", ".fmu", fmu.write_3, gaps="they hold a continuation"),
     "fmu-2": ExportFormat("FMU of FMI 2.0 with its C sources", ".fmu", fmu.write_2, gaps="they hold a continuation"),
-    "plecs": ExportFormat("PLECS non-excited synchronous machine", ".mat", plecs.write),
-    "modelica": ExportFormat("Modelica CombiTable2D", ".txt", modelica.write),
+    "plecs": ExportFormat("PLECS non-excited synchronous machine", ".mat", matlab.write_plecs),
+    "modelica": ExportFormat("Modelica CombiTable2D", ".txt", text.write_modelica),
     "vesc": ExportFormat("VESC motor configuration", ".xml", controllers.write_vesc, grid=False),
     "odrive": ExportFormat("ODrive configuration", ".json", controllers.write_odrive, grid=False),
 }

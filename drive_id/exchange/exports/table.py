@@ -5,20 +5,51 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.exchange.exports.axes import default_axis
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 from drive_id.version import VERSION
 
 _PER_PERIOD = 12  # angles per period of the highest harmonic: linear interpolation is off by 3 % of it
-_LEAST_ANGLES = 4
+_LEAST_ANGLES = 4  # of a table over the angle, without harmonics too
 _NEGLIGIBLE = 0.01  # amplitude of a harmonic, by the largest flux, that may be left out
 _MARGIN = 1.25  # reach of the harmonics, in i_max
+
+
+@dataclass(frozen=True, eq=False)
+class TableChoice:
+    """Which table to write.
+
+    Parameters
+    ----------
+    i_d, i_q : (D,), (Q,) float or None
+        Axes, A; None: 41 points from -i_max to i_max.
+    filled : bool
+        Continue the map where there are no data.
+    pole_pairs, u_dc : int, float or None
+        Instead of those of the result; V.
+    """
+
+    i_d: FloatArray | None = None
+    i_q: FloatArray | None = None
+    filled: bool = False
+    pole_pairs: int | None = None
+    u_dc: float | None = None
+
+
+class AtZero(NamedTuple):
+    """Inductances L_d and L_q for control, H, and psi_d, Wb, at zero current."""
+
+    l_d: float
+    l_q: float
+    magnet: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,33 +76,17 @@ class MapTable:
     filled: bool = False
 
     @classmethod
-    def of(
-        cls,
-        result: Result,
-        i_d: FloatArray,
-        i_q: FloatArray,
-        *,
-        filled: bool = False,
-        pole_pairs: int | None = None,
-        u_dc: float | None = None,
-    ) -> MapTable:
+    def of(cls, result: Result, choice: TableChoice) -> MapTable:
         """Sample a result.
-
-        Parameters
-        ----------
-        i_d, i_q : (D,), (Q,) float
-            Axes, A.
-        filled : bool
-            Continue the map where there are no data.
-        pole_pairs, u_dc : int, float, optional
-            Default: those of the result; V.
 
         Raises
         ------
         CoverageError
             When no point of the table has data.
         """
-        table = cls(result, MachineModel.of(result, pole_pairs=pole_pairs, u_dc=u_dc), i_d, i_q, filled)
+        i_d, i_q = (default_axis(result.i_max) if axis is None else axis for axis in (choice.i_d, choice.i_q))
+        machine = MachineModel.of(result, pole_pairs=choice.pole_pairs, u_dc=choice.u_dc)
+        table = cls(result, machine, i_d, i_q, choice.filled)
         if not table.inside.any():
             raise CoverageError("No point of the table has data: choose a smaller --range.")
         return table
@@ -137,12 +152,11 @@ class MapTable:
     @cached_property
     def harmonics(self) -> tuple[tuple[int, FloatArray], ...]:
         """Order and amplitudes (D, Q, 4), Wb, of psi_d cos, psi_d sin, psi_q cos, psi_q sin, of each harmonic."""
-        ripple = self._ripple
-        parts = zip(ripple.orders, ripple.cosines, ripple.sines, strict=True)
-        return tuple(
-            (order, self.masked(_alternating(cosine.values(*self.grid), sine.values(*self.grid))))
-            for order, cosine, sine in parts
-        )
+        ripple, found = self._ripple, []
+        for order, *surfaces in zip(ripple.orders, ripple.cosines, ripple.sines, strict=True):
+            amplitudes = np.stack([surface.values(*self.grid) for surface in surfaces], axis=-1)
+            found.append((order, self.masked(amplitudes.reshape(*self.inside.shape, 4))))
+        return tuple(found)
 
     @cached_property
     def _ripple(self) -> TorqueRipple:
@@ -168,8 +182,12 @@ class MapTable:
         result = replace(self.result, drive=replace(self.result.drive, harmonics=tuple(kept)))
         return replace(self, result=result)
 
-    def angles(self, span: float) -> FloatArray:
-        """Return electrical angles from 0 over a span, without its end, spaced finely enough for all harmonics, rad."""
+    def angles(self, span: float | None = None) -> FloatArray:
+        """Return electrical angles from 0 over a span, without its end, spaced finely enough for all harmonics, rad.
+
+        Default: over the period that all harmonics share.
+        """
+        span = 2 * np.pi / np.gcd.reduce([order for order, _ in self.harmonics]) if span is None else span
         periods = max((math.ceil(harmonic.order * span / (2 * np.pi)) for harmonic in self.result.harmonics), default=0)
         count = max(_LEAST_ANGLES, _PER_PERIOD * periods)
         return np.arange(count, dtype=np.float64) * (span / count)
@@ -190,6 +208,12 @@ class MapTable:
         """
         ripple = self._ripple.over_angle(*self.grid, theta) if self.result.harmonics else np.zeros(len(theta))
         return self.masked(self.torque[..., None] + ripple)
+
+    @cached_property
+    def at_zero(self) -> AtZero:
+        """What controllers with one number for all currents need."""
+        L = self.machine.control_inductances(0.0, 0.0)
+        return AtZero(float(L[0, 0]), float(L[1, 1]), float(self.machine.psi_dq(0.0, 0.0)[0]))
 
     @cached_property
     def interpolation_error(self) -> float:
@@ -217,7 +241,7 @@ class MapTable:
     @property
     def gain_source(self) -> str:
         """A sentence on the one inductance from which a controller's gains follow."""
-        least, (l_d, l_q) = self.machine.least_inductance, np.diagonal(self.machine.control_inductances(0.0, 0.0))
+        least, l_d, l_q = self.machine.least_inductance, self.at_zero.l_d, self.at_zero.l_q
         how = "" if self.machine.monotone_inside else " of the nearest monotone map (the map itself is not monotone)"
         return (
             f"The gains rest on the smallest incremental inductance within i_max{how}, {least * 1e3:.3g} mH, so that "
@@ -252,8 +276,3 @@ def plain(text: str) -> str:
     """Return text for a comment: on one line, and no cell of it is a formula."""
     printable = "".join(letter if letter.isprintable() else " " for letter in text)
     return printable.replace(",", ";").replace("\t", " ")
-
-
-def _alternating(cosine: FloatArray, sine: FloatArray) -> FloatArray:
-    """Return (..., 4) of two arrays (..., 2): d cos, d sin, q cos, q sin."""
-    return np.stack([cosine[..., 0], sine[..., 0], cosine[..., 1], sine[..., 1]], axis=-1)

@@ -75,8 +75,7 @@ class Conventions:
 
     def differing(self, other: Conventions) -> str:
         """Return the entries that differ from another's as command-line options."""
-        names = [entry.name for entry in fields(self) if getattr(self, entry.name) != getattr(other, entry.name)]
-        return " ".join(f"--{_option(name)} {getattr(self, name)}" for name in names)
+        return " ".join(f"--{_option(name)} {getattr(self, name)}" for name in self._changed(other))
 
     def alternatives(self, names: tuple[str, ...]) -> Iterator[Conventions]:
         """Yield all others that differ in some of the named choices, those with the fewest changes first."""
@@ -91,7 +90,10 @@ class Conventions:
 
     def changes(self, other: Conventions) -> int:
         """Count the entries in which another differs."""
-        return sum(getattr(self, entry.name) != getattr(other, entry.name) for entry in fields(self))
+        return len(self._changed(other))
+
+    def _changed(self, other: Conventions) -> list[str]:
+        return [entry.name for entry in fields(self) if getattr(self, entry.name) != getattr(other, entry.name)]
 
 
 def _option(name: str) -> str:

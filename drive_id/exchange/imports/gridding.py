@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 from scipy.interpolate import griddata
@@ -15,19 +16,18 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-_SAME = 1e-6
-"""Currents that differ by less, relative to the range, are one."""
-_FEWEST = 4
+_SAME = 1e-6  # currents that differ by less, relative to the range, are one
+_FEWEST = 4  # nodes along an axis, which a cubic spline needs
 _COMPLETE = 0.09
 """Share of the nodes of a grid that must be there: polar grids and scattered points have far more nodes than points."""
 _MOST_NODES = 4_000_000  # of a grid: 32 MB for each array
 _MOST_SCATTERED = 30_000  # points of a spline fit, whose time grows with them
-_SMALL = 5e-4
-"""Amplitude of a harmonic, relative to the largest flux, below which it is left out."""
+_STEPS = 40  # about, of an axis for scattered points
+_ROUND = (1.0, 2.0, 2.5, 5.0, 10.0)  # steps of such an axis, times a power of ten
+_SMALL = 5e-4  # amplitude of a harmonic, relative to the largest flux, below which it is left out
 _MOST_PERIODS = 6
 """Per electrical revolution: the fluxes of a three-phase machine repeat after 60 degrees at the earliest."""
-_SYMMETRIC = 0.02
-"""Flux psi_q at i_q = 0, relative to the largest, up to which a map over half the plane is mirrored."""
+_SYMMETRIC = 0.02  # flux psi_q at i_q = 0, relative to the largest, up to which a map over half the plane is mirrored
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +78,7 @@ def gridded(points: MapPoints) -> Gridded:
     orders, amplitudes = harmonics_of(points)
     sigma = points.sigma_dq if points.sigma_dq is not None else np.full(points.i_dq.shape, np.nan)
     columns, mirrored = _mirrored(_Columns(points.i_dq, points.mean_psi_dq, orders, amplitudes, sigma))
-    axes = [_axis(columns.i_dq[:, k]) for k in range(2)]
-    (i_d, place_d), (i_q, place_q) = axes
+    (i_d, place_d), (i_q, place_q) = (_axis(values) for values in columns.i_dq.T)
     nodes = len(i_d) * len(i_q)
     if min(len(i_d), len(i_q)) >= _FEWEST and nodes <= _MOST_NODES and len(columns.i_dq) >= _COMPLETE * nodes:
         return _on_grid(columns, i_d, i_q, (place_d, place_q), mirrored=mirrored)
@@ -134,26 +133,26 @@ def _mirrored(columns: _Columns) -> tuple[_Columns, bool]:
     largest = float(np.abs(columns.psi_dq).max())
     if np.abs(columns.psi_dq[on_axis, 1]).max(initial=0.0) > _SYMMETRIC * largest:
         return columns, False
-    other = ~on_axis
-    flip = np.array([1.0, -1.0])
+
+    def both(values: FloatArray, *signs: float) -> FloatArray:
+        return np.concatenate([values[~on_axis] * np.array(signs), values])
+
     return _Columns(
-        np.concatenate([columns.i_dq[other] * flip, columns.i_dq]),
-        np.concatenate([columns.psi_dq[other] * flip, columns.psi_dq]),
+        both(columns.i_dq, 1.0, -1.0),
+        both(columns.psi_dq, 1.0, -1.0),
         columns.orders,
-        np.concatenate([columns.amplitudes[other] * np.array([1.0, -1.0, -1.0, 1.0]), columns.amplitudes]),
-        np.concatenate([columns.sigma_dq[other], columns.sigma_dq]),
+        both(columns.amplitudes, 1.0, -1.0, -1.0, 1.0),
+        both(columns.sigma_dq, 1.0, 1.0),
     ), True
 
 
 def _axis(values: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return the distinct values of one current, and which of them each point has."""
     order = np.argsort(values, kind="stable")
-    ordered = values[order]
-    begins = np.concatenate([[True], np.diff(ordered) > _SAME * np.ptp(values)])
-    number = np.cumsum(begins) - 1
+    begins = np.concatenate([[True], np.diff(values[order]) > _SAME * np.ptp(values)])
     place = np.empty(len(values), np.int64)
-    place[order] = number
-    found = ordered[begins]
+    place[order] = np.cumsum(begins) - 1
+    found = values[order][begins]
     return np.where(np.abs(found) < _SAME * np.ptp(values), 0.0, found), place
 
 
@@ -174,20 +173,12 @@ def _on_grid(
         placed[places] = values
         return placed if inside.all() else continued(placed, inside, (i_d, i_q), slopes)
 
-    slope_d = _slope(columns.i_dq[:, 0], columns.psi_dq[:, 0])
-    slope_q = _slope(columns.i_dq[:, 1], columns.psi_dq[:, 1])
+    psi_d, psi_q = columns.psi_dq.T
+    slope_d, slope_q = (float(np.polyfit(i, psi, 1)[0]) for i, psi in zip(columns.i_dq.T, (psi_d, psi_q), strict=True))
     sigma = np.full((2, *shape), np.nan)
-    for k in range(2):
-        sigma[k][places] = columns.sigma_dq[:, k]
-    flux_map = FluxMap(
-        i_d,
-        i_q,
-        whole(columns.psi_dq[:, 0], (slope_d, 0.0)),
-        whole(columns.psi_dq[:, 1], (0.0, slope_q)),
-        sigma[0],
-        sigma[1],
-        inside,
-    )
+    sigma[:, places[0], places[1]] = columns.sigma_dq.T
+    psi_d, psi_q = whole(psi_d, (slope_d, 0.0)), whole(psi_q, (0.0, slope_q))
+    flux_map = FluxMap(i_d, i_q, psi_d, psi_q, sigma[0], sigma[1], inside)
     harmonics = tuple(
         HarmonicMap(order, *(whole(columns.amplitudes[:, k, part]) for part in range(4)))
         for k, order in enumerate(columns.orders)
@@ -195,15 +186,11 @@ def _on_grid(
     return Gridded(flux_map, harmonics, mirrored, scattered=False)
 
 
-def _slope(current: FloatArray, psi: FloatArray) -> float:
-    """Return the slope of a line through all points, H."""
-    return float(np.polyfit(current, psi, 1)[0])
-
-
 def _splined(columns: _Columns, *, mirrored: bool) -> Gridded:
     """Fit a reciprocal, monotone map to scattered points and sample it on a grid with round steps."""
-    fitted = fit_monotone(columns.i_dq, columns.psi_dq, _weights(columns.sigma_dq))
-    i_d, i_q = (round_axis(float(x.min()), float(x.max())) for x in columns.i_dq.T)
+    weighted = np.isfinite(columns.sigma_dq).all() and (columns.sigma_dq > 0).all()
+    fitted = fit_monotone(columns.i_dq, columns.psi_dq, columns.sigma_dq if weighted else None)
+    i_d, i_q = (_round_axis(float(x.min()), float(x.max())) for x in columns.i_dq.T)
     grid = np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1)
     inside, psi = fitted.inside(grid), fitted.psi(grid)
 
@@ -213,28 +200,17 @@ def _splined(columns: _Columns, *, mirrored: bool) -> Gridded:
 
     amplitudes = laid(columns.amplitudes.reshape(len(columns.i_dq), -1))
     known = inside & np.isfinite(amplitudes).all(axis=-1)
-    harmonics = [
-        HarmonicMap(
-            order, *(continued(amplitudes[..., 4 * k + part], known, (i_d, i_q), (0.0, 0.0)) for part in range(4))
-        )
-        for k, order in enumerate(columns.orders)
-    ]
+    parts = (continued(one, known, (i_d, i_q), (0.0, 0.0)) for one in np.moveaxis(amplitudes, -1, 0))
+    harmonics = [HarmonicMap(order, *islice(parts, 4)) for order in columns.orders]
     sigma = np.where(inside[..., None], laid(columns.sigma_dq), np.nan)
     flux_map = FluxMap(i_d, i_q, psi[..., 0], psi[..., 1], sigma[..., 0], sigma[..., 1], inside)
     return Gridded(flux_map, tuple(harmonics), mirrored, scattered=True, rms=fitted.convexity.residual_rms)
 
 
-def _weights(sigma_dq: FloatArray) -> FloatArray | None:
-    usable = bool(np.isfinite(sigma_dq).all() and (sigma_dq > 0).all())
-    return sigma_dq if usable else None
-
-
-def round_axis(low: float, high: float, steps: int = 40) -> FloatArray:
-    """Return points of a round step through zero that cover a range with about the given number of steps, A."""
-    wanted = (high - low) / steps
+def _round_axis(low: float, high: float) -> FloatArray:
+    """Return points of a round step through zero that cover a range with about 40 steps, A."""
+    wanted = (high - low) / _STEPS
     power = 10.0 ** math.floor(math.log10(wanted))
-    step = min(
-        (factor * power for factor in (1.0, 2.0, 2.5, 5.0, 10.0)), key=lambda value: abs(math.log(value / wanted))
-    )
+    step = min((factor * power for factor in _ROUND), key=lambda value: abs(math.log(value / wanted)))
     first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
     return np.array([float(f"{k * step:.12g}") for k in range(first, last + 1)])

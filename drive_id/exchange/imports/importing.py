@@ -15,7 +15,7 @@ from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import Conventions, converted
 from drive_id.exchange.imports.formats import IMPORTS, format_of
-from drive_id.exchange.imports.gridding import Gridded, gridded
+from drive_id.exchange.imports.gridding import gridded
 from drive_id.exchange.imports.plausibility import check_plausible, large_flux, outlier, torque_ratio
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.exchange.imports.source import Source
@@ -24,7 +24,7 @@ from drive_id.fitting.result import Identification
 from drive_id.messages import Message
 from drive_id.origins import IMPORTED
 
-_COVERAGE_POINTS = 101
+_COVERAGE_POINTS = 101  # along an axis, by which the covered share of the disc is counted
 OURS = Conventions()
 
 
@@ -72,52 +72,47 @@ def import_map(source: Source | str | Path, options: ImportOptions | None = None
     chosen = options or ImportOptions()
     source = source if isinstance(source, Source) else Source(Path(source))
     name = format_of(source, chosen.format)
-    source = replace(source, order=chosen.conventions.order)
-    points = _turned(IMPORTS[name].read(source), source)
-    conventions = _conventions(source, points, chosen)
+
+    def read(order: str) -> MapPoints:
+        points = IMPORTS[name].read(replace(source, order=order))
+        theta = None if points.theta is None else points.theta + np.radians(source.angle_offset)
+        return replace(points, theta=theta)
+
+    points = read(chosen.conventions.order)
+    if chosen.axis is not None and points.axis is not None and chosen.axis != points.axis:
+        raise ConfigurationError(
+            f"--axis {chosen.axis} contradicts '{source.path}', whose axes are of type {points.axis}: leave it out."
+        )
+    conventions = replace(chosen.conventions, axis=chosen.axis or points.axis or "pm")
 
     def transposed() -> MapPoints | None:
         try:
-            other = replace(source, order="qd" if source.order == "dq" else "dq")
-            return _turned(IMPORTS[name].read(other), source)
+            return read("qd" if conventions.order == "dq" else "dq")
         except ConfigurationError:  # the axes have different lengths, so there is but one order
             return None
 
     check_plausible(points, conventions, transposed)
     ours = converted(points, conventions)
-    return _result(source, name, ours, gridded(ours), conventions, chosen.machine)
+    statements = [Message("imported", file=source.path.name, title=IMPORTS[name].title, **asdict(conventions))]
+    return _result(source, ours, statements, chosen.machine)
 
 
-def _turned(points: MapPoints, source: Source) -> MapPoints:
-    """Add the given offset to the rotor positions."""
-    return points if points.theta is None else replace(points, theta=points.theta + np.radians(source.angle_offset))
-
-
-def _conventions(source: Source, points: MapPoints, options: ImportOptions) -> Conventions:
-    """Return the conventions with the axis that the user or the file names."""
-    if options.axis is not None and points.axis is not None and options.axis != points.axis:
-        raise ConfigurationError(
-            f"--axis {options.axis} contradicts '{source.path}', whose axes are of type {points.axis}: leave it out."
-        )
-    return replace(options.conventions, axis=options.axis or points.axis or "pm")
-
-
-def _result(
-    source: Source, name: str, points: MapPoints, found: Gridded, conventions: Conventions, machine: str
-) -> Identification:
-    scalars, ratio = points.scalars, torque_ratio(points)
+def _result(source: Source, points: MapPoints, statements: list[Message], machine: str) -> Identification:
+    found, scalars, ratio = gridded(points), points.scalars, torque_ratio(points)
     pairs = scalars.get("pole_pairs")
     if pairs is not None and pairs != round(pairs):
         raise ConfigurationError(f"The number of pole pairs is {pairs:g}: give a whole number (--pole-pairs).")
-    statements = [Message("imported", file=source.path.name, title=IMPORTS[name].title, **asdict(conventions))]
-    statements.append(_on_shape(found))
+    wording, size = "import_grid.scattered" if found.scattered else "import_grid", found.flux_map.psi_d.shape
+    statements.append(Message(wording, points_d=size[0], points_q=size[1], rms=found.rms, mirrored=found.mirrored))
     if points.sigma_dq is None or not np.isfinite(points.sigma_dq).any():
         statements.append(Message("sigma_unknown"))
     if pairs is None and ratio is not None:
         pairs = float(round(ratio))
         statements.append(Message("torque_of_pole_pairs", pole_pairs=round(ratio)))
     warnings = [outlier(points.i_dq, points.mean_psi_dq), large_flux(points.mean_psi_dq)]
-    i_max = scalars.get("i_max", _reach(found.flux_map))
+    # of the disc, half disc or quarter disc that the axes cover
+    reach = float(min(np.abs(axis).max() for axis in (found.flux_map.i_d, found.flux_map.i_q)))
+    i_max, count = scalars.get("i_max", reach), len(points.i_dq)
     drive = IdentifiedDrive(
         method=IMPORTED.name,
         i_max=i_max,
@@ -128,7 +123,12 @@ def _result(
         inverter_current=np.array([-i_max, 0.0, i_max]),
         inverter_voltage=np.zeros(3),
         flux_map=found.flux_map,
-        report=replace(_report(found.flux_map, i_max, len(points.i_dq)), warnings=tuple(filter(None, warnings))),
+        report=FitReport(
+            samples_read=count,
+            samples_used=count,
+            coverage=_coverage(found.flux_map, i_max),
+            warnings=tuple(filter(None, warnings)),
+        ),
         harmonics=found.harmonics,
         statements=tuple(statements),
     )
@@ -144,19 +144,9 @@ def _result(
     return Identification(drive, provenance)
 
 
-def _on_shape(found: Gridded) -> Message:
-    wording, size = "import_grid.scattered" if found.scattered else "import_grid", found.flux_map.psi_d.shape
-    return Message(wording, points_d=size[0], points_q=size[1], rms=found.rms, mirrored=found.mirrored)
-
-
-def _reach(flux_map: FluxMap) -> float:
-    """Return the radius, A, of the disc, half disc or quarter disc that the axes cover."""
-    return float(min(np.abs(flux_map.i_d).max(), np.abs(flux_map.i_q).max()))
-
-
-def _report(flux_map: FluxMap, i_max: float, points: int) -> FitReport:
+def _coverage(flux_map: FluxMap, i_max: float) -> float:
+    """Return the share of the disc that the map covers."""
     axis = np.linspace(-i_max, i_max, _COVERAGE_POINTS)
     i_d, i_q = np.meshgrid(axis, axis, indexing="ij")
     disc = np.hypot(i_d, i_q) <= i_max
-    covered = np.isfinite(flux_map.psi_dq(i_d[disc], i_q[disc])[0])
-    return FitReport(samples_read=points, samples_used=points, coverage=float(covered.mean()))
+    return float(np.isfinite(flux_map.psi_dq(i_d[disc], i_q[disc])[0]).mean())

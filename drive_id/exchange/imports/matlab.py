@@ -32,12 +32,10 @@ def read_syre_flux(source: Source) -> MapPoints:
     """Read SyR-e's ``fdfq_idiq_n256.mat``: ``Id Iq Fd Fq`` and, if there, ``T`` and ``dataSet.axisType``."""
     values = load(source)
     i_dq, psi_dq = (_stacked(source, values, names) for names in (("Id", "Iq"), ("Fd", "Fq")))
-    torque = real(source.path, "T", values["T"]).ravel() if "T" in values else None
+    torque = _array(source, values, "T").ravel() if "T" in values else None
     axis = getattr(values.get("dataSet"), "axisType", None)
-    told = str(axis).lower() if axis is not None else None
-    return MapPoints(
-        i_dq, psi_dq[..., None], torque=torque, scalars=known_scalars({}, source.scalars), axis=told
-    ).complete()
+    axis, scalars = None if axis is None else str(axis).lower(), known_scalars({}, source.scalars)
+    return MapPoints(i_dq, psi_dq[..., None], torque=torque, scalars=scalars, axis=axis).complete()
 
 
 def read_motor_cad(source: Source) -> MapPoints:
@@ -51,13 +49,12 @@ def read_motor_cad(source: Source) -> MapPoints:
     angular = "Angular_Flux_Linkage_D" in values and "Angular_Rotor_Position" in values
     theta: FloatArray | None = None
     if angular:
-        parts = [real(source.path, name, values[name]) for name in ("Angular_Flux_Linkage_D", "Angular_Flux_Linkage_Q")]
+        parts = [_array(source, values, f"Angular_Flux_Linkage_{axis}") for axis in "DQ"]
         if any(part.ndim != 3 or part.shape[0] * part.shape[1] != len(i_dq) for part in parts):
             raise ConfigurationError(
                 f"The angular flux linkages in '{source.path}' do not fit Id_Peak: export it again."
             )
-        positions = real(source.path, "Angular_Rotor_Position", values["Angular_Rotor_Position"])
-        degrees = positions.reshape(-1, parts[0].shape[2])[0]
+        degrees = _array(source, values, "Angular_Rotor_Position").reshape(-1, parts[0].shape[2])[0]
         psi = np.stack([part.reshape(len(i_dq), -1) for part in parts], axis=1)
         if abs(degrees[-1] - degrees[0] - 360) < 1e-6 or (
             len(degrees) > 4 and np.allclose(psi[..., 0], psi[..., -1], rtol=0, atol=1e-9 * np.abs(psi).max())
@@ -68,10 +65,9 @@ def read_motor_cad(source: Source) -> MapPoints:
         psi = _stacked(source, values, ("Flux_Linkage_D", "Flux_Linkage_Q"))[..., None]
     torque = None
     if "Electromagnetic_Torque" in values:
-        torque = real(source.path, "Electromagnetic_Torque", values["Electromagnetic_Torque"]).ravel()
+        torque = _array(source, values, "Electromagnetic_Torque").ravel()
     elif "Angular_Electromagnetic_Torque" in values:
-        whole = real(source.path, "Angular_Electromagnetic_Torque", values["Angular_Electromagnetic_Torque"])
-        torque = whole.reshape(len(i_dq), -1).mean(axis=1)
+        torque = _array(source, values, "Angular_Electromagnetic_Torque").reshape(len(i_dq), -1).mean(axis=1)
     scalars: dict[str, Any] = {}
     if "Phase_Resistance_DC_at_20C" in values:
         scalars["resistance"] = values["Phase_Resistance_DC_at_20C"]
@@ -83,13 +79,8 @@ def read_motor_cad(source: Source) -> MapPoints:
     # The d axis of Motor-CAD is that of the magnet; zero current appears once for each angle of a polar grid.
     _, first = np.unique(np.round(i_dq / np.ptp(i_dq, axis=0), 9), axis=0, return_index=True)
     first.sort()
-    return MapPoints(
-        i_dq[first],
-        psi[first],
-        theta,
-        None if torque is None else torque[first],
-        scalars=known_scalars(scalars, source.scalars),
-    ).complete()
+    torque, scalars = None if torque is None else torque[first], known_scalars(scalars, source.scalars)
+    return MapPoints(i_dq[first], psi[first], theta, torque, scalars=scalars).complete()
 
 
 def load(source: Source) -> Mapping[str, Any]:
@@ -97,12 +88,15 @@ def load(source: Source) -> Mapping[str, Any]:
     return load_matlab(source.path, f"'{source.path}'")
 
 
+def _array(source: Source, values: Mapping[str, Any], name: str) -> FloatArray:
+    if name not in values:
+        raise ConfigurationError(f"'{source.path}' has no '{name}': export it again with this field.")
+    return real(source.path, name, values[name])
+
+
 def _stacked(source: Source, values: Mapping[str, Any], names: tuple[str, str]) -> FloatArray:
     """Return two arrays of equal shape as (N, 2)."""
-    missing = [name for name in names if name not in values]
-    if missing:
-        raise ConfigurationError(f"'{source.path}' has no '{missing[0]}': export it again with this field.")
-    parts = [real(source.path, name, values[name]) for name in names]
+    parts = [_array(source, values, name) for name in names]
     if parts[0].shape != parts[1].shape:
         raise ConfigurationError(f"{' and '.join(names)} in '{source.path}' have different shapes: export it again.")
     return np.stack([part.ravel() for part in parts], axis=-1)

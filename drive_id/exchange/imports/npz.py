@@ -36,39 +36,27 @@ def read_npz(source: Source) -> MapPoints:
             "i_d, i_q, psi_d and psi_q, or i_s_dq and psi_s_dq as motulator does."
         )
     i_d, i_q = (real(source.path, name, values[name]).ravel() for name in axes)
+    shape = (len(i_d), len(i_q))
+
+    def array(name: str) -> FloatArray:
+        return ordered(source, real(source.path, name, values[name]), name, *shape)
+
     turning = "theta_e_deg" in values and "psi_d_theta" in values and "psi_q_theta" in values
     names = ("psi_d_theta", "psi_q_theta") if turning else ("psi_d", "psi_q")
     theta = np.radians(real(source.path, "theta_e_deg", values["theta_e_deg"])) if turning else None
-    psi = [ordered(source, real(source.path, name, values[name]), name, len(i_d), len(i_q)) for name in names]
+    psi = [array(name) for name in names]
     if psi[0].shape != psi[1].shape:
         raise ConfigurationError(f"{' and '.join(names)} in '{source.path}' have different shapes: export it again.")
     i_dq, psi_dq = of_grid(i_d, i_q, *psi)
-    torque = values.get("torque_theta", values.get("torque"))
-    torque = (
-        None if torque is None else ordered(source, real(source.path, "torque", torque), "torque", *psi[0].shape[:2])
-    )
-    if torque is not None and torque.ndim == 3:
-        torque = torque.mean(axis=2)
+    torque = next((array(name) for name in ("torque_theta", "torque") if name in values), None)
+    if torque is not None:
+        torque = (torque.mean(axis=2) if torque.ndim == 3 else torque).ravel()
     sigma = None
     if "sigma_d" in values and "sigma_q" in values:
-        parts = [
-            ordered(source, real(source.path, name, values[name]), name, len(i_d), len(i_q))
-            for name in ("sigma_d", "sigma_q")
-        ]
-        sigma = np.stack(parts, axis=-1).reshape(-1, 2)
+        sigma = np.stack([array("sigma_d"), array("sigma_q")], axis=-1).reshape(-1, 2)
     if "inside" in values:
-        inside = ordered(source, np.asarray(values["inside"], np.float64), "inside", len(i_d), len(i_q)).ravel() > 0
-        psi_dq = np.where(inside[:, None, None], psi_dq, np.nan)
-    return MapPoints(
-        i_dq,
-        psi_dq,
-        theta,
-        None if torque is None else torque.ravel(),
-        sigma,
-        scalars,
-        shape=(len(i_d), len(i_q)),
-        machine=machine,
-    ).complete()
+        psi_dq = np.where(array("inside").ravel()[:, None, None] > 0, psi_dq, np.nan)
+    return MapPoints(i_dq, psi_dq, theta, torque, sigma, scalars, shape=shape, machine=machine).complete()
 
 
 def ordered(source: Source, values: FloatArray, name: str, count_d: int, count_q: int) -> FloatArray:
@@ -166,14 +154,9 @@ def turning_points(
         out[which.ravel(), position] = values
         return out
 
-    psi, mean_torque = grouped(psi_dq), None if torque is None else grouped(torque).mean(axis=1)
-    return MapPoints(
-        grouped(i_dq)[:, 0],
-        *_without_end(np.swapaxes(psi, 1, 2), angles),
-        torque=mean_torque,
-        scalars=scalars,
-        machine=machine,
-    ).complete()
+    psi, angles = _without_end(np.swapaxes(grouped(psi_dq), 1, 2), angles)
+    mean = None if torque is None else grouped(torque).mean(axis=1)
+    return MapPoints(grouped(i_dq)[:, 0], psi, angles, mean, scalars=scalars, machine=machine).complete()
 
 
 def _without_end(psi: FloatArray, theta: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -13,23 +13,18 @@ from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import Conventions, converted
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.messages import Message
-from drive_id.types import FloatArray
+from drive_id.types import FloatArray, IntArray
 
 _MOST_POINTS = 1500  # at which slopes are estimated
 _NEIGHBOURS = 9  # through which a plane is fitted: a node of a grid and those around it
-_RISING = 0.95
-"""Share of points at which each flux must rise with the current of its axis."""
+_RISING = 0.95  # share of points at which each flux must rise with the current of its axis
 _ASYMMETRY = 0.25
 """Largest ``L_dq - L_qd``, rms, relative to the rms inductance: iron loss and noise of measured maps leave less."""
-_MAGNET = 0.02
-"""Flux at zero current, relative to the largest, from which on there is a magnet with a direction."""
-_TORQUE = 0.1
-"""Relative difference allowed between a file's torque and that of its map."""
+_MAGNET = 0.02  # flux at zero current, relative to the largest, from which on there is a magnet with a direction
+_TORQUE = 0.1  # relative difference allowed between a file's torque and that of its map
 _INDUCTANCE = (1e-6, 5.0)  # H
-_LARGEST_FLUX = 50.0
-"""Wb; ship drives reach 30, and 50 mWb are a small machine."""
-_LARGE_FLUX = 2.0
-"""Wb; at 50 Hz it induces 628 V, more than an inverter on 1000 V gives."""
+_LARGEST_FLUX = 50.0  # Wb; ship drives reach 30, and 50 mWb are a small machine
+_LARGE_FLUX = 2.0  # Wb; at 50 Hz it induces 628 V, more than an inverter on 1000 V gives
 _OFF_NEIGHBOURS = 5.0  # distance of an outlier from the plane through its neighbours, by the distances of those
 _OFF = 0.03  # the same by the largest flux
 _TIME_CONSTANT = (3e-5, 20.0)  # s
@@ -37,20 +32,9 @@ _AMPLITUDES = ("current", "flux")
 
 
 @np.errstate(over="ignore", invalid="ignore")
-def faults(points: MapPoints) -> list[str]:
-    """Describe what is implausible in a map that should be in our conventions.
-
-    Parameters
-    ----------
-    points : MapPoints
-        Converted by :func:`~.conventions.converted`.
-
-    Returns
-    -------
-    list of str
-        Parts of sentences; empty for a plausible map.
-    """
-    slopes, at_zero = local_slopes(points.i_dq, points.mean_psi_dq)
+def _faults(points: MapPoints) -> list[str]:
+    """Describe in parts of sentences what is implausible in a map that should be in our conventions."""
+    slopes, at_zero = _local_slopes(points.i_dq, points.mean_psi_dq)
     if not len(slopes):
         return ["its points lie on lines, so that they tell no inductances"]
     largest = float(np.hypot(*points.mean_psi_dq.T).max())
@@ -80,11 +64,11 @@ def check_plausible(points: MapPoints, conventions: Conventions, transposed: Cal
         When the map is implausible.
     """
     ours = converted(points, conventions)
-    found = faults(ours)
+    found = _faults(ours)
     if not found:
         return
     odd = outlier(ours.i_dq, ours.mean_psi_dq)
-    if odd is not None and not faults(_without(ours, odd)):
+    if odd is not None and not _faults(_without(ours, odd)):
         raise ConfigurationError(f"The map is not plausible: {'; '.join(found)}, which is for one point. {odd}")
     hint = _hint(points, conventions, transposed())
     raise ConfigurationError(f"The map is not plausible: {'; '.join(found)}; {hint}.")
@@ -100,7 +84,9 @@ def _hint(points: MapPoints, assumed: Conventions, transposed: MapPoints | None)
             break
         turned = other.order != assumed.order and points.shape is not None
         source = transposed if turned else points
-        if source is not None and _usable(source, other) and not faults(converted(source, other)):
+        if source is None or source.axis not in (None, other.axis):  # the file itself may state its axis
+            continue
+        if not _faults(converted(source, other)):
             fitting.append(other)
     if fitting:
         options = " or ".join(f"'{other.differing(assumed)}'" for other in fitting)
@@ -121,33 +107,16 @@ def _without(points: MapPoints, odd: Message) -> MapPoints:
     return replace(points, i_dq=points.i_dq[kept], psi_dq=points.psi_dq[kept], torque=torque)
 
 
-def _usable(points: MapPoints, conventions: Conventions) -> bool:
-    """Return whether conventions are possible: they must not contradict an axis that the file itself states."""
-    return points.axis is None or points.axis == conventions.axis
+def _local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    """Return inductances (M, 2, 2), H, at up to 1500 of points (N, 2) in A and Wb, by planes through neighbours.
 
-
-def local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-    """Estimate incremental inductances and the flux at zero current, by planes through neighbouring points.
-
-    Parameters
-    ----------
-    i_dq, psi_dq : (N, 2) float
-        A, Wb.
-
-    Returns
-    -------
-    (M, 2, 2) float
-        ``[[L_dd, L_dq], [L_qd, L_qq]]`` at up to 1500 of the points, H.
-    (2,) float or None
-        psi_dq at zero current, Wb; None when the points do not reach zero current.
+    And psi_dq at zero current (2,), Wb; None when the points do not reach zero current.
     """
-    scale = np.ptp(i_dq, axis=0)
-    spread = [len(np.unique(np.round(i_dq[:, k] / scale[k], 6))) for k in range(2)]
-    x = i_dq / scale * np.array(spread)  # so that steps along both axes of a grid count the same
+    x, scale, spread = _in_steps(i_dq)
     tree = cKDTree(x)
     chosen = x[:: max(1, len(x) // _MOST_POINTS)]
     _, near = tree.query(chosen, k=_NEIGHBOURS)
-    slopes, known, _ = _planes(i_dq[near], psi_dq[near], chosen / np.array(spread) * scale)
+    slopes, known, _ = _planes(i_dq[near], psi_dq[near], chosen / spread * scale)
     distance, around = tree.query(np.zeros((1, 2)), k=_NEIGHBOURS)
     typical = float(np.median(tree.query(chosen, k=2)[0][:, 1]))
     _, fits, values = _planes(i_dq[around], psi_dq[around], np.zeros((1, 2)))
@@ -155,11 +124,17 @@ def local_slopes(i_dq: FloatArray, psi_dq: FloatArray) -> tuple[FloatArray, Floa
     return slopes[known], values[0] if reaches else None
 
 
-def outlier(i_dq: FloatArray, psi_dq: FloatArray) -> Message | None:
-    """Describe the point (N, 2) that lies off the plane through its neighbours as they do not; None without one."""
+def _in_steps(i_dq: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return currents in steps of their grid, so that both axes count the same, the ranges, and the steps in each."""
     scale = np.ptp(i_dq, axis=0)
     spread = np.array([len(np.unique(np.round(i_dq[:, k] / scale[k], 6))) for k in range(2)])
-    _, near = cKDTree(i_dq / scale * spread).query(i_dq / scale * spread, k=min(_NEIGHBOURS, len(i_dq)))
+    return i_dq / scale * spread, scale, spread
+
+
+def outlier(i_dq: FloatArray, psi_dq: FloatArray) -> Message | None:
+    """Describe the point (N, 2) that lies off the plane through its neighbours as they do not; None without one."""
+    x, _, _ = _in_steps(i_dq)
+    _, near = cKDTree(x).query(x, k=min(_NEIGHBOURS, len(i_dq)))
     _, known, expected = _planes(i_dq[near[:, 1:]], psi_dq[near[:, 1:]], i_dq)
     off = np.where(known, np.hypot(*(psi_dq - expected).T), 0.0)
     usual = np.median(off[near[:, 1:]], axis=1)

@@ -13,8 +13,7 @@ from drive_id.types import FloatArray
 SCALARS = ("resistance", "pole_pairs", "i_max", "u_dc")
 """What a file may tell of the machine besides its map: ohm, 1, A, V."""
 
-_LARGEST = 1e12
-"""In whatever unit a file has."""
+_LARGEST = 1e12  # in whatever unit a file has
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ COLUMNS = ("i_d", "i_q", "psi_d", "psi_q", "torque", "theta", "sigma_d", "sigma_
 _NEEDED = COLUMNS[:4]
 _COMMENT = re.compile(r"#\s*(\w+)\s*[:=]\s*(.+)")
 _MILLI = re.compile(r"\b(mWb|mVs|mA|mNm)\b")
-_MOST_BYTES = 500_000_000
+_MOST_BYTES = 500_000_000  # of a file, which is read into memory whole
 
 
 def read_csv(source: Source) -> MapPoints:
@@ -61,21 +61,20 @@ def _places(source: Source, heading: list[str] | None, count: int) -> dict[str, 
         raise ConfigurationError(f"--columns names '{unknown[0]}': the quantities are {', '.join(COLUMNS)}.")
     places = {}
     for name in COLUMNS:
-        given = source.columns.get(name)
+        own = name if heading and name in heading else None
+        given = source.columns.get(name) if source.columns else own
         if given is None:
-            if heading is not None and name in heading and not source.columns:
-                places[name] = heading.index(name)
             continue
         if heading is not None and given in heading:
             places[name] = heading.index(given)
         elif given.isdigit() and 1 <= int(given) <= count:
             places[name] = int(given) - 1
         else:
-            there = ", ".join(heading) if heading else f"numbers 1 to {count}"
+            there = ", ".join(heading or [f"numbers 1 to {count}"])
             raise ConfigurationError(f"'{source.path}' has no column '{given}': it has {there}.")
     missing = [name for name in _NEEDED if name not in places]
     if missing:
-        there = ", ".join(heading) if heading else f"{count} columns without headings"
+        there = ", ".join(heading or [f"{count} columns without headings"])
         raise ConfigurationError(
             f"'{source.path}' has no column {missing[0]} (it has {there}): name them, for instance "
             "--columns i_d=Id,i_q=Iq,psi_d=Fd,psi_q=Fq, or by numbers, --columns i_d=1,i_q=2,psi_d=3,psi_q=4."

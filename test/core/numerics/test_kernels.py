@@ -64,7 +64,7 @@ def test_rests(rest, count):
 def test_the_map_that_a_simulation_uses_is_the_spline_continued():
     gamma = np.random.default_rng(8).normal(size=MODEL.parameters)
     axes, table = current_simulation.flux_table(MODEL, [gamma], (1.0, 2.0))
-    here, point = current_simulation.new_slice(0), np.empty(8)
+    here, point = np.zeros(33), np.empty(8)
     current_simulation.turn_to(0.0, np.zeros(0), here)
     for i in currents(50)[:50]:
         current_simulation.evaluate(*i, here, axes, table, point)

@@ -10,6 +10,7 @@ from dense_oracle import DenseOracle
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
+from numpy_oracles import dense_rows
 from synthetic import record
 
 from drive_id.core import frames
@@ -58,7 +59,7 @@ def oracle(coarse, model):
 
 def test_rows_agree_with_the_dense_oracle(coarse, model, oracle):
     integrals = sample_integrals(coarse, slice(0, len(coarse)), model, TanhShape())
-    ours = integrals.dense(model.parameters)
+    ours = dense_rows(integrals, model.parameters)
     theirs = np.concatenate([oracle.rows[..., :2], oracle.rhs[..., None], oracle.rows[..., 2:]], axis=-1)
     largest = np.abs(theirs).max(axis=(0, 1))
     seen = largest > 0
@@ -83,7 +84,7 @@ def test_solution_agrees_with_the_dense_oracle_inside_the_disc(coarse, model, or
 
 def gram(model, samples):
     integrals = sample_integrals(samples, slice(0, len(samples)), model, TanhShape())
-    z = integrals.dense(model.parameters)[integrals.valid].reshape(-1, FLUX + model.parameters)
+    z = dense_rows(integrals, model.parameters)[integrals.valid].reshape(-1, FLUX + model.parameters)
     return z.T @ z
 
 

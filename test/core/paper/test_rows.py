@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy_oracles import dense_rows
 
 from drive_id.core import frames
 from drive_id.core.maps.flux_models import TensorSpline
@@ -34,7 +35,7 @@ def wild(n, seed, step, speed):
 
 def expected(samples, left_out):
     integrals = sample_integrals(samples, slice(0, len(samples)), MODEL, TanhShape(), left_out)
-    z = integrals.dense(MODEL.parameters)[integrals.valid].reshape(-1, FLUX + MODEL.parameters)
+    z = dense_rows(integrals, MODEL.parameters)[integrals.valid].reshape(-1, FLUX + MODEL.parameters)
     return z.T @ z, 2 * int(integrals.valid.sum()), int((~integrals.inside).sum())
 
 

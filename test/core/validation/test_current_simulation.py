@@ -138,7 +138,7 @@ def test_the_map_at_an_angle_is_the_sum_of_its_parts():
     model, random = TensorSpline(Axis(-10.0, 12.0, 8), Axis(-9.0, 9.0, 7)), np.random.default_rng(3)
     gamma, *parts = random.normal(size=(5, model.parameters))
     axes, table = current_simulation.flux_table(model, (gamma, *parts), (1.0, 2.0))
-    here, point = current_simulation.new_slice(2), np.empty(8)
+    here, point = np.zeros(33 + 2 * 2), np.empty(8)
     for theta in (0.3, -4.0):
         current_simulation.turn_to(theta, np.array([6.0, 18.0]), here)
         total = gamma + np.array([np.cos(6 * theta), np.sin(6 * theta), np.cos(18 * theta), np.sin(18 * theta)]) @ parts

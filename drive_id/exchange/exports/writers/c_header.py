@@ -8,16 +8,22 @@ from string import Template
 
 import numpy as np
 
-from drive_id.exchange.exports.gains import ControlGains, q15
+from drive_id.errors import ConfigurationError
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
-from drive_id.types import FloatArray
+from drive_id.types import FloatArray, IntArray
 
 _TEMPLATE = Path(__file__).with_name("flux_map.h")
-_PER_LINE = 8
-_DROP_POINTS, _DROP_ERROR = 129, 5e-4
-"""Most points of the drop's table, and its largest error relative to the largest drop."""
+_PER_LINE = 8  # numbers of a table
+_DROP_POINTS = 129  # at most, of the table of the drop
+_DROP_ERROR = 5e-4  # largest of this table, relative to the largest drop
+_DELAY = 1.5
+"""Samples from the measured current to the mean of the voltage that answers it: one of computation, half a sample of
+the modulator."""
+_PLL = 0.2
+"""Bandwidth of the observer of the angle relative to that of the current controllers, which it must not follow."""
+_Q15 = 2**15 - 1
 _SIZE = "[DRIVE_ID_ND * DRIVE_ID_NQ]"
 
 
@@ -31,14 +37,13 @@ def write(table: MapTable, options: ExportOptions) -> bytes:
 
 def with_drop(table: MapTable, options: ExportOptions, current: FloatArray, voltage: FloatArray) -> bytes:
     """Write the header of :func:`write` with the inverter's drop at these phase currents, A, and voltages, V, (C,)."""
-    machine, gains, found = table.machine, ControlGains.of(table, options), table.result
+    machine, found, inductances = table.machine, table.result, _inductances(table)
+    bandwidth, limited = _bandwidth(options)
     slope = (found.drive.magnet_coefficient or (0.0, 0.0))[0]
     held = REFERENCE_TEMPERATURE if found.provenance.temperature is None else found.provenance.temperature
     assumed = "" if found.provenance.temperature is not None else ", assumed: no temperature was recorded"
-    margin = f"leaves a phase margin of {math.degrees(gains.phase_margin):.3g} degrees at {gains.delay:.4g} s of delay"
-    limited = "no delay is considered" if math.isnan(gains.delay) else margin
     constants = {
-        "RESISTANCE": (gains.resistance, "ohm"),
+        "RESISTANCE": (machine.resistance, "ohm"),
         "RESISTANCE_CELSIUS": (held, f"degrees Celsius{assumed}"),
         "COPPER": (COPPER, "1/K"),
         "MAGNET_SLOPE": (float(slope), "Wb/K" if slope else "Wb/K: none was identified"),
@@ -46,10 +51,10 @@ def with_drop(table: MapTable, options: ExportOptions, current: FloatArray, volt
         "POLE_PAIRS": (machine.pole_pairs, "1"),
         "I_MAX": (machine.i_max, "A, largest current amplitude"),
         "U_DC": (machine.u_dc, "V"),
-        "BANDWIDTH": (gains.bandwidth, f"rad/s, of the current controllers; {limited}"),
-        "KI": (gains.bandwidth * gains.resistance, "V/(A s)"),
-        "PLL_KP": (gains.pll[0], "1/s"),
-        "PLL_KI": (gains.pll[1], "1/s^2"),
+        "BANDWIDTH": (bandwidth, f"rad/s, of the current controllers; {limited}"),
+        "KI": (bandwidth * machine.resistance, "V/(A s)"),
+        "PLL_KP": (2 * _PLL * bandwidth, "1/s"),  # critically damped
+        "PLL_KI": ((_PLL * bandwidth) ** 2, "1/s^2"),
     }
     lines = [
         f"#define DRIVE_ID_{name} {_real(value)} /* {unit} */"
@@ -63,12 +68,12 @@ def with_drop(table: MapTable, options: ExportOptions, current: FloatArray, volt
     lines += _array("drive_id_drop_current", "[DRIVE_ID_NC]", current[None, :], "A, of a phase")
     lines += _array("drive_id_drop_voltage", "[DRIVE_ID_NC]", voltage[None, :], "V")
     maps = {"psi_d": (table.psi[0], "Wb"), "psi_q": (table.psi[1], "Wb")}
-    maps |= {"l_dd": (gains.l_dd, "H"), "l_qq": (gains.l_qq, "H")}
+    maps |= {"l_dd": (inductances["d"], "H"), "l_qq": (inductances["q"], "H")}
     for name, (values, unit) in maps.items():
         lines += _array(f"drive_id_{name}_table", _SIZE, values, f"{unit}, row-major [i_d][i_q]")
     lines += ["/* 1 where there are data */", f"static const unsigned char drive_id_inside_table{_SIZE} = {{"]
     lines += [" " + ",".join("1" if known else "0" for known in row) + "," for row in table.inside.tolist()]
-    lines += ["};", "", *(_per_unit(table, gains, options) if machine.u_dc else ())]
+    lines += ["};", "", *(_per_unit(table, inductances, bandwidth, options) if machine.u_dc else ())]
     template = Template(_TEMPLATE.read_text(encoding="ascii"))
     name, source = _comment(table.result.machine or "unknown"), _comment(table.source)
     return template.substitute(name=name, source=source, content="\n".join(lines)).encode("ascii")
@@ -86,24 +91,57 @@ def _thinned(current: FloatArray, voltage: FloatArray) -> tuple[FloatArray, Floa
     return current[kept], voltage[kept]
 
 
-def _per_unit(table: MapTable, gains: ControlGains, options: ExportOptions) -> list[str]:
+def _bandwidth(options: ExportOptions) -> tuple[float, str]:
+    """Return the bandwidth of the current controllers, rad/s, and what the delay leaves of the phase margin.
+
+    Each controller cancels the pole of its axis, ``kp = a L(i)`` and ``ki = a R``, so that the open loop is
+    ``a e^{-s T_d} / s``: its phase margin is ``pi/2 - a T_d``, whatever the current.
+    """
+    if options.sample_period is None:
+        return options.bandwidth, "no delay is considered"
+    delay = _DELAY * options.sample_period
+    bandwidth = min(options.bandwidth, (math.pi / 2 - math.radians(options.phase_margin)) / delay)
+    margin = math.degrees(math.pi / 2 - bandwidth * delay)
+    return bandwidth, f"leaves a phase margin of {margin:.3g} degrees at {delay:.4g} s of delay"
+
+
+def _inductances(table: MapTable) -> dict[str, FloatArray]:
+    """Return L_dd and L_qq (D, Q), H, of the nearest monotone map; without data, at least the smallest within i_max."""
+    machine = table.machine
+    found = np.diagonal(machine.control_inductances(*table.grid), axis1=-2, axis2=-1)
+    safe = np.where(table.inside[..., None], found, np.maximum(found, machine.least_inductance))
+    return {"d": safe[..., 0], "q": safe[..., 1]}
+
+
+def _per_unit(
+    table: MapTable, inductances: dict[str, FloatArray], bandwidth: float, options: ExportOptions
+) -> list[str]:
     """Return the gains per unit in fixed point: kp over the current, and ki times the sample period."""
-    u_base, i_base = gains.per_unit(table)
+    u_base, i_base = table.machine.known_u_dc() / math.sqrt(3), table.machine.i_max
     lines = [
         f"#define DRIVE_ID_U_BASE {_real(u_base)} /* V, u_dc / sqrt(3) */",
         f"#define DRIVE_ID_I_BASE {_real(i_base)} /* A, i_max */",
     ]
-    scale = gains.bandwidth * i_base / u_base
-    for axis, inductance in (("d", gains.l_dd), ("q", gains.l_qq)):
-        numbers, shift = q15(scale * inductance)
+    scale, resistance = bandwidth * i_base / u_base, table.machine.resistance
+    for axis, inductance in inductances.items():
+        numbers, shift = _q15(scale * inductance)
         lines.append(f"#define DRIVE_ID_KP_{axis.upper()}_SHIFT {shift} /* value = number * 2^-shift, per unit */")
         lines.append(f"static const int16_t drive_id_kp_{axis}_q15{_SIZE} = {{")
         lines += [" " + ",".join(map(str, row)) + "," for row in numbers.tolist()] + ["};"]
-    if options.sample_period is not None and gains.resistance > 0:
-        number, shift = q15(np.array([scale * gains.resistance * options.sample_period]))
+    if options.sample_period is not None and resistance > 0:
+        number, shift = _q15(np.array([scale * resistance * options.sample_period]))
         lines.append(f"#define DRIVE_ID_KI_T_Q15 {number[0]} /* ki times sample period, per unit */")
         lines.append(f"#define DRIVE_ID_KI_T_SHIFT {shift}")
     return lines
+
+
+def _q15(values: FloatArray) -> tuple[IntArray, int]:
+    """Return values as int16 numbers, and the shift: ``value = number * 2^-shift``, the largest in 15 bits."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if not (largest > 0 and math.isfinite(largest)):
+        raise ConfigurationError("The gains are zero or not finite: check resistance and map.")
+    shift = math.floor(math.log2(_Q15 / largest))
+    return np.rint(values * 2.0**shift).astype(np.int64), shift
 
 
 def _comment(text: str) -> str:

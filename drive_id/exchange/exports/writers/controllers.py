@@ -4,18 +4,9 @@ from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ET
-from typing import NamedTuple
 
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
-
-
-class _Numbers(NamedTuple):
-    resistance: float
-    l_d: float
-    l_q: float
-    magnet: float
-    least: float
 
 
 def write_vesc(table: MapTable, options: ExportOptions) -> bytes:
@@ -24,14 +15,14 @@ def write_vesc(table: MapTable, options: ExportOptions) -> bytes:
     One gain serves both axes and all currents, so it follows from the smallest incremental inductance: no loop is then
     faster than the bandwidth.
     """
-    found = _numbers(table)
+    resistance, at_zero = table.known_resistance(), table.at_zero
     values = {
-        "foc_motor_r": found.resistance,
-        "foc_motor_l": (found.l_d + found.l_q) / 2,
-        "foc_motor_ld_lq_diff": found.l_q - found.l_d,
-        "foc_motor_flux_linkage": found.magnet,
-        "foc_current_kp": found.least * options.bandwidth,
-        "foc_current_ki": found.resistance * options.bandwidth,
+        "foc_motor_r": resistance,
+        "foc_motor_l": (at_zero.l_d + at_zero.l_q) / 2,
+        "foc_motor_ld_lq_diff": at_zero.l_q - at_zero.l_d,
+        "foc_motor_flux_linkage": at_zero.magnet,
+        "foc_current_kp": table.machine.least_inductance * options.bandwidth,
+        "foc_current_ki": resistance * options.bandwidth,
     }
     root = ET.Element("MCConfiguration")
     for name, value in values.items():
@@ -43,24 +34,18 @@ def write_vesc(table: MapTable, options: ExportOptions) -> bytes:
 
 def write_odrive(table: MapTable, options: ExportOptions) -> bytes:
     """Write what ``odrivetool restore-config`` reads; the torque constant is 3/2 p psi_m."""
-    found = _numbers(table)
+    at_zero, pairs = table.at_zero, table.machine.known_pole_pairs()
     motor = {
-        "phase_resistance": found.resistance,
-        "phase_inductance": found.least,  # of which odrive computes its gains
-        "pole_pairs": table.machine.known_pole_pairs(),
-        "torque_constant": 1.5 * table.machine.known_pole_pairs() * found.magnet,
-        "ff_pm_flux_linkage": found.magnet,
+        "phase_resistance": table.known_resistance(),
+        "phase_inductance": table.machine.least_inductance,  # of which odrive computes its gains
+        "pole_pairs": pairs,
+        "torque_constant": 1.5 * pairs * at_zero.magnet,
+        "ff_pm_flux_linkage": at_zero.magnet,
         "ff_pm_flux_linkage_valid": True,
-        "motor_model_l_d": found.l_d,
-        "motor_model_l_q": found.l_q,
+        "motor_model_l_d": at_zero.l_d,
+        "motor_model_l_q": at_zero.l_q,
         "motor_model_l_dq_valid": True,
         "current_control_bandwidth": options.bandwidth,
     }
     tree = {f"axis0.config.motor.{name}": value for name, value in motor.items()}
     return (json.dumps(tree, indent=1) + "\n").encode()
-
-
-def _numbers(table: MapTable) -> _Numbers:
-    L = table.machine.control_inductances(0.0, 0.0)
-    magnet = float(table.machine.psi_dq(0.0, 0.0)[0])
-    return _Numbers(table.known_resistance(), float(L[0, 0]), float(L[1, 1]), magnet, table.machine.least_inductance)

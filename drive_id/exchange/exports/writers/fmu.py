@@ -21,10 +21,8 @@ from drive_id.exchange.exports.table import MapTable
 from drive_id.exchange.exports.writers import c_header
 
 _FOLDER = Path(__file__).with_name("fmu")
-_STEP = 1e-5
-"""Largest step of the solver inside, s: a fifth of what the steepest inverter curves allow."""
-_DATE = (1980, 1, 1, 0, 0, 0)
-"""Of all files in the archive, so that equal models are equal files."""
+_STEP = 1e-5  # largest step of the solver inside, s: a fifth of what the steepest inverter curves allow
+_DATE = (1980, 1, 1, 0, 0, 0)  # of all files in the archive, so that equal models are equal files
 _MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("windows", ".dll")}
 _LONGEST_COMPILATION = 300.0  # s
@@ -90,8 +88,7 @@ def _fmu(table: MapTable, options: ExportOptions, version: int) -> bytes:
     guid = f"{token[:8]}-{token[8:12]}-{token[12:16]}-{token[16:20]}-{token[20:]}"
     code |= {"map.h": header, "variables.h": f'{listed}#define TOKEN "{guid}"\n'}
     files = {f"sources/{name}": text.encode("ascii") for name, text in code.items()}
-    describe = _description_2 if version == 2 else _description_3
-    files["modelDescription.xml"] = _xml(describe(table, variables, guid))
+    files["modelDescription.xml"] = _xml(_description(table, variables, guid, version))
     if version == 3:
         files["sources/buildDescription.xml"] = _xml(_build_description())
     library = _library(code, version)
@@ -143,22 +140,8 @@ def _library(code: dict[str, str], version: int) -> tuple[str, bytes] | None:
         return f"binaries/{place}/drive{suffix}", Path(folder, f"drive{suffix}").read_bytes()
 
 
-def _root(table: MapTable, version: str, token: str) -> ET.Element:
-    return ET.Element(
-        "fmiModelDescription",
-        {
-            "fmiVersion": version,
-            "modelName": "".join(c if c.isprintable() else " " for c in table.result.machine) or "drive",
-            token: "",
-            "description": table.source,
-            "generationTool": "drive_id",
-            "variableNamingConvention": "flat",
-        },
-    )
-
-
 _STATES = ("i_d", "i_q", "angle")
-_HANDLES = {"canGetAndSetFMU{}": "true", "canSerializeFMU{}": "true"}
+_INTERFACES = {"ModelExchange": {}, "CoSimulation": {"canHandleVariableCommunicationStepSize": "true"}}
 _UNITS = {
     "s": {"s": "1"},
     "V": {"kg": "1", "m": "2", "s": "-3", "A": "-1"},
@@ -172,51 +155,47 @@ _UNITS = {
 }
 
 
-def _units(root: ET.Element) -> None:
+def _description(table: MapTable, variables: list[_Variable], guid: str, version: int) -> ET.Element:
+    """Return the description of the model; where both versions tell the same, it differs in names and nesting."""
+    old = version == 2
+    root = ET.Element(
+        "fmiModelDescription",
+        {
+            "fmiVersion": f"{version}.0",
+            "modelName": "".join(c if c.isprintable() else " " for c in table.result.machine) or "drive",
+            "guid" if old else "instantiationToken": guid,
+            "description": table.source,
+            "generationTool": "drive_id",
+            "variableNamingConvention": "flat",
+        },
+    )
+    if old:
+        root.set("numberOfEventIndicators", "0")
+    state = "state" if old else "State"
+    handles = {f"canGetAndSetFMU{state}": "true", f"canSerializeFMU{state}": "true"}
+    for kind, more in _INTERFACES.items():
+        interface = ET.SubElement(root, kind, {"modelIdentifier": "drive"} | more | handles)
+        if old:
+            ET.SubElement(ET.SubElement(interface, "SourceFiles"), "File", name="fmi2.c")
     units = ET.SubElement(root, "UnitDefinitions")
     for name, powers in _UNITS.items():
         ET.SubElement(ET.SubElement(units, "Unit", name=name), "BaseUnit", powers)
-
-
-def _description_2(table: MapTable, variables: list[_Variable], guid: str) -> ET.Element:
-    root = _root(table, "2.0", "guid")
-    root.attrib |= {"guid": guid, "numberOfEventIndicators": "0"}
-    handles = {name.format("state"): value for name, value in _HANDLES.items()}
-    for kind, more in (("ModelExchange", {}), ("CoSimulation", {"canHandleVariableCommunicationStepSize": "true"})):
-        sources = ET.SubElement(root, kind, {"modelIdentifier": "drive"} | more | handles)
-        ET.SubElement(ET.SubElement(sources, "SourceFiles"), "File", name="fmi2.c")
-    _units(root)
     listed = ET.SubElement(root, "ModelVariables")
+    first = 1 if old else 0  # number of the first variable
     for number, variable in enumerate(variables):
-        entry = ET.SubElement(listed, "ScalarVariable", _attributes(number, variable, "valueReference"))
-        real = ET.SubElement(entry, "Real", _value(variable))
+        attributes, value = _attributes(number, variable), _value(variable)
+        if old:
+            real = ET.SubElement(ET.SubElement(listed, "ScalarVariable", attributes), "Real", value)
+        else:
+            real = ET.SubElement(listed, "Float64", attributes | value)
         if variable.name.startswith("der_"):
-            real.set("derivative", str(1 + _place(variables, variable.name[4:])))
+            real.set("derivative", str(first + _place(variables, variable.name[4:])))
     structure = ET.SubElement(root, "ModelStructure")
     for kind, numbers in _structure(variables).items():
-        group = ET.SubElement(structure, {"Output": "Outputs", "Derivative": "Derivatives"}.get(kind, f"{kind}s"))
+        group = ET.SubElement(structure, f"{kind}s") if old else structure
+        name = "Unknown" if old else {"Derivative": "ContinuousStateDerivative"}.get(kind, kind)
         for number in numbers:
-            ET.SubElement(group, "Unknown", index=str(1 + number))
-    return root
-
-
-def _description_3(table: MapTable, variables: list[_Variable], guid: str) -> ET.Element:
-    root = _root(table, "3.0", "instantiationToken")
-    root.set("instantiationToken", guid)
-    handles = {name.format("State"): value for name, value in _HANDLES.items()}
-    for kind, more in (("ModelExchange", {}), ("CoSimulation", {"canHandleVariableCommunicationStepSize": "true"})):
-        ET.SubElement(root, kind, {"modelIdentifier": "drive"} | more | handles)
-    _units(root)
-    listed = ET.SubElement(root, "ModelVariables")
-    for number, variable in enumerate(variables):
-        entry = ET.SubElement(listed, "Float64", _attributes(number, variable, "valueReference") | _value(variable))
-        if variable.name.startswith("der_"):
-            entry.set("derivative", str(_place(variables, variable.name[4:])))
-    structure = ET.SubElement(root, "ModelStructure")
-    for kind, numbers in _structure(variables).items():
-        for number in numbers:
-            name = "ContinuousStateDerivative" if kind == "Derivative" else kind
-            ET.SubElement(structure, name, valueReference=str(number))
+            ET.SubElement(group, name, {"index" if old else "valueReference": str(first + number)})
     return root
 
 
@@ -232,8 +211,8 @@ def _structure(variables: list[_Variable]) -> dict[str, list[int]]:
     return {"Output": outputs, "Derivative": derivatives, "InitialUnknown": sorted(computed + derivatives)}
 
 
-def _attributes(number: int, variable: _Variable, reference: str) -> dict[str, str]:
-    out = {"name": variable.name, reference: str(number), "description": variable.description}
+def _attributes(number: int, variable: _Variable) -> dict[str, str]:
+    out = {"name": variable.name, "valueReference": str(number), "description": variable.description}
     out["causality"] = variable.causality
     out["variability"] = "tunable" if variable.causality == "parameter" else "continuous"
     if (variable.causality == "output" and variable.start is not None) or variable.causality == "parameter":

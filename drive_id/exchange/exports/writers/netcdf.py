@@ -16,7 +16,7 @@ _TEXTS = {
 _PARTS = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
 
 
-def write(table: MapTable, options: ExportOptions) -> bytes:  # noqa: ARG001  # a Writer
+def write(table: MapTable, _: ExportOptions) -> bytes:
     """Write coordinates ``i_d``, ``i_q``, and variables over them; ``inside`` is 1 where there are data."""
     from scipy.io import netcdf_file  # noqa: PLC0415  # only this format needs it
 

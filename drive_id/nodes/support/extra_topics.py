@@ -109,7 +109,7 @@ class ExtraTopics:
             return None
         self._troubles.pop(name, None)
         subscription = MatchedSubscription(
-            self._node, kind, name, partial(self._on_message, name), depth=self._depth, raw=True, latched=True
+            self._node, kind, name, partial(self._on_message, name), depth=self._depth, latched=True
         )
         self._subscriptions[name] = subscription
         topic = RecordedTopic(

@@ -71,7 +71,7 @@ class ForeignTopics:
             return
         self._troubles.pop(given, None)
         self._subscriptions[given] = MatchedSubscription(
-            self._node, kind, given, partial(self._on_message, given), depth=self._depth, raw=True
+            self._node, kind, given, partial(self._on_message, given), depth=self._depth
         )
 
     def _on_message(self, given: str, data: bytes) -> None:

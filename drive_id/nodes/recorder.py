@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from drive_id_msgs.srv import Command, StartRecording, StopRecording
-from rclpy.clock import Clock, ClockType
 
 from drive_id.errors import DriveIdError
 from drive_id.health import Health, Level
@@ -20,7 +19,8 @@ from drive_id.live.recording.recorder_health import recorder_health
 from drive_id.live.recording.recording_note import RecordingNote
 from drive_id.live.recording.recording_session import RecordingSession, free_space, shortage
 from drive_id.live.recording.recording_settings import RecordingSettings
-from drive_id.nodes.support.diagnostics import HealthPublisher
+from drive_id.nodes.support.clocks import STEADY
+from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.recorded_topics import RecordedTopics
@@ -60,12 +60,10 @@ class Recorder(ManagedNode):
             (Command, "~/split_bagfile", self._on_split),
         ):
             self.paced.create(kind, name, handle)
-        self._timer = self.create_timer(
-            _MATCH_PERIOD, self._check_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        self.create_timer(_MATCH_PERIOD, self._check_topics, clock=STEADY)
         if self._note.left:
             self.get_logger().error(self._note.left)
-        self._diagnostics = HealthPublisher(self, self._health)
+        publish_health(self, self._health)
         self.bring_up(f"Ready: recordings go to {self._settings.data_directory}.")
 
     def connect(self) -> None:

@@ -14,7 +14,6 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -25,6 +24,7 @@ from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ExperimentError
 from drive_id.fitting.result import Identification, load
 from drive_id.nodes.support.arguments import ros_arguments
+from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.middleware import fast_dds
 from drive_id.nodes.support.replies import NAMES
 
@@ -183,8 +183,7 @@ class Bench:
         kinds = SERVICES | of_drive
         self._services = {name: self._node.create_client(kind, name) for name, kind in kinds.items()}
         self._heartbeats = self._node.create_publisher(Empty, f"{PUBLISHER}/heartbeat", 1)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._node.create_timer(_HEARTBEAT, lambda: self._heartbeats.publish(Empty()), clock=steady)
+        self._node.create_timer(_HEARTBEAT, lambda: self._heartbeats.publish(Empty()), clock=STEADY)
         # After the clients: a node that is heard here knows of them, and its replies are not lost.
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 

@@ -6,10 +6,10 @@ import array
 
 import numpy as np
 from drive_id_msgs.msg import FluxMap, OperatingPoint
-from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2, PointField
 
 from drive_id.live.identification.operating_points import Point
+from drive_id.nodes.support.signal_messages import headed
 
 FIELDS = ("x", "y", "z", "i_d", "i_q", "psi_d", "psi_q", "sigma", "coverage")
 """Of each point, float32; see :func:`flux_map_points`."""
@@ -54,7 +54,4 @@ def flux_map_points(flux_map: FluxMap) -> PointCloud2:
 
 def operating_point_message(point: Point, frame_id: str) -> OperatingPoint:
     """Return the message of an operating point."""
-    message = OperatingPoint(i_d=point.i_d, i_q=point.i_q, speed=point.speed)
-    message.header.stamp = Time(nanoseconds=point.stamp).to_msg()
-    message.header.frame_id = frame_id
-    return message
+    return headed(OperatingPoint(i_d=point.i_d, i_q=point.i_q, speed=point.speed), point.stamp, frame_id)

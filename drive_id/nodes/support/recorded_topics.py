@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
+from drive_id_msgs.msg import CurrentReference, ScalarSamples
 from rclpy.node import Node
 
 from drive_id.files.messages.messages import type_hash
@@ -14,14 +14,10 @@ from drive_id.live.recording.recorder_health import TopicState
 from drive_id.live.recording.recording_session import RecordedTopic
 from drive_id.nodes.support.extra_topics import ExtraTopics
 from drive_id.nodes.support.matched_subscription import MatchedSubscription
+from drive_id.nodes.support.signal_messages import KINDS
 from drive_id.types import SCALARS
 
-TOPICS = {
-    "phase_currents": PhaseCurrents,
-    "phase_voltages": PhaseVoltages,
-    "resolver": Resolver,
-    "current_reference": CurrentReference,
-} | dict.fromkeys(SCALARS, ScalarSamples)
+TOPICS = KINDS | {"current_reference": CurrentReference} | dict.fromkeys(SCALARS, ScalarSamples)
 
 
 class RecordedTopics:
@@ -47,7 +43,7 @@ class RecordedTopics:
         self._topics = [
             MatchedSubscription(
                 self._node, kind, name, partial(self._on_message, self._node.resolve_topic_name(name)),
-                depth=self._depth, raw=True,
+                depth=self._depth,
             )
             for name, kind in TOPICS.items()
         ]  # fmt: skip

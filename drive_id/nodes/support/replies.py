@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from drive_id_msgs.msg import FitReport, FluxMap
 from numpy.typing import ArrayLike
-from rclpy.time import Time
 
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.live.identification.identifier import Reply
 from drive_id.messages import Message
+from drive_id.nodes.support.signal_messages import headed
 
 _OF_MECHANICS = {
     name: name
@@ -36,8 +36,7 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
     identification = reply.identification
     if identification is None:
         return message
-    message.header.stamp = Time(nanoseconds=reply.stamp).to_msg()
-    message.header.frame_id = frame_id
+    headed(message, reply.stamp, frame_id)
     message.method = identification.method
     message.provisional = reply.provisional
     message.machine = reply.machine

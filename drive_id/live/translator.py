@@ -98,6 +98,8 @@ class Translator:
                 "smoothing or decimation): live signals need a speed in the resolver's message and stamps as they are."
             )
         self._sources = {name: source for name, source in sources.items() if name != "reference"}
+        self.topics = tuple(dict.fromkeys(source.topic for source in self._sources.values()))
+        """Topics to subscribe to, as named in the signals file."""
         self._builders = {name: SignalBuilder(each.topic, name, each) for name, each in self._sources.items()}
         self._readers: dict[str, list[tuple[str, Reader]]] = {}
         self._waiting: dict[str, list[MessageSamples]] = defaultdict(list)
@@ -119,11 +121,6 @@ class Translator:
         """Messages that waited too long."""
         self.last_error = ""
         self._newest: dict[str, int] = {}
-
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """Topics to subscribe to, as named in the signals file."""
-        return tuple(dict.fromkeys(source.topic for source in self._sources.values()))
 
     def found(self, given: str, topic: TopicInfo) -> None:
         """Set the type of a topic, named as in the signals file.

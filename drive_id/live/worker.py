@@ -26,7 +26,8 @@ class Worker(Generic[Result]):
     def __init__(self) -> None:
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
-        self._progress: tuple[str, float | None] = ("", None)
+        self.progress: tuple[str, float | None] = ("", None)
+        """Name of the present step and its completed share, 0 to 1; None where the share is unknown."""
         self.steps = 0
         """Number of places that the job has passed at which it can be cancelled."""
 
@@ -34,11 +35,6 @@ class Worker(Generic[Result]):
     def busy(self) -> bool:
         """Whether a job is running."""
         return self._thread is not None and self._thread.is_alive()
-
-    @property
-    def progress(self) -> tuple[str, float | None]:
-        """Name of the present step and its completed share, 0 to 1; None where the share is unknown."""
-        return self._progress
 
     def start(self, job: Callable[[Progress], Result], done: Callable[[Result], None]) -> None:
         """Run a job.
@@ -60,7 +56,7 @@ class Worker(Generic[Result]):
 
         def tell(what: str, share: float | None) -> None:
             check()
-            self._progress = (what, share)
+            self.progress = (what, share)
 
         def run() -> None:
             try:
@@ -80,9 +76,8 @@ class Worker(Generic[Result]):
         """Have the job end at the next place where it can be cancelled: fits pass several a second."""
         self._stopping.set()
 
-    def stop(self, patience: float) -> bool:
-        """Cancel the job, and return whether it ended within ``patience``, s."""
+    def stop(self, patience: float) -> None:
+        """Cancel the job, and wait ``patience``, s, for its end."""
         self.cancel()
         if self._thread is not None:
             self._thread.join(patience)
-        return not self.busy

@@ -17,7 +17,7 @@ from sensor_msgs.msg import PointCloud2
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
 from drive_id.errors import InactiveError
-from drive_id.health import Health
+from drive_id.health import Health, Level
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.identifier import DEACTIVATED, Identifier, Job, Reply, again
 from drive_id.live.identification.inbox import Inbox
@@ -203,7 +203,8 @@ class IdentificationNode(ManagedNode):
     def _health(self) -> Health:
         if not self.active:
             return self.inactive_health()
-        findings = [*self._inbox.findings(), *self._requests.findings(), *self._topics.findings()]
+        dropped = [(Level.WARN, warning) for warning in self._inbox.warnings()]
+        findings = [*dropped, *self._requests.findings(), *self._topics.findings()]
         return self._identifier.health(self._requests.doing, self._topics.publishers(), findings)
 
 

@@ -10,7 +10,6 @@ from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion, concluded
 from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin
-from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError
 from drive_id.types import Samples
@@ -65,11 +64,6 @@ class Snapshot:
     join: StreamJoin
     gathered: LiveSums
     rest: tuple[Piece, ...]
-
-    @property
-    def report(self) -> JoinReport:
-        """What became of the signals."""
-        return self.join.report()
 
     def validation(self) -> tuple[Samples, ...]:
         """Return the excerpt of the trajectory, to be simulated for the MAD and to be drawn."""

@@ -84,6 +84,8 @@ class Refits:
     def __init__(self, settings: IdentificationSettings, clock: Callable[[], float] = time.monotonic) -> None:
         self._share = settings.refit_share
         self._period = settings.provisional_map_period
+        self.publishes = self._period > 0
+        """Whether provisional maps are published."""
         self._clock = clock
         self.due = -np.inf
         """Earliest time of the next fit, s."""
@@ -111,7 +113,7 @@ class Refits:
             return None
         earlier = self.earlier(live.settings, samples)
         if earlier is not None and self._selected and samples <= _RENEWED_GROWTH * self._selected.samples:
-            if self._period <= 0 or now < self._provisional_due:
+            if not self.publishes or now < self._provisional_due:
                 return None
         else:
             earlier = None
@@ -141,11 +143,6 @@ class Refits:
         self._latest = refit
         if refit.selected:
             self._selected = refit
-
-    @property
-    def publishes(self) -> bool:
-        """Whether provisional maps are published."""
-        return self._period > 0
 
     def values(self) -> dict[str, str]:
         """Return the results of the last fit, for diagnostics."""

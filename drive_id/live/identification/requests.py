@@ -140,16 +140,13 @@ class Requests:
         else:
             request.finish(BUSY)
 
-    def cancel(self, request: Request, reply: Reply) -> bool:
-        """End a request with a reply, and tell whether there was such a request."""
+    def cancel(self, request: Request, reply: Reply) -> None:
+        """End a request with a reply, if it is not over."""
         if request is self._waiting:
             self._waiting = None
             request.finish(reply)
-            return True
-        if self._running is not None and request is self._running.request:
+        elif self._running is not None and request is self._running.request:
             self._running.end(reply, time.monotonic())
-            return True
-        return False
 
     def look(self) -> None:
         """End what was cancelled or takes too long, and tell how far the request is; call it ten times a second."""

@@ -68,7 +68,8 @@ class IdentificationNode(ManagedNode):
         self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED)
         self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED)
         self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
-        on_change(self, FitSettings, self._check_settings, self._on_settings)
+        # A method that live samples cannot serve is refused.
+        on_change(self, FitSettings, lambda settings: method_named(settings.method), self._on_settings)
         self._topics = LiveTopics(self, self._identifier, self._inbox, settings.signals)
         self.paced.create(Command, "~/reset", self._on_reset)
         self._server = RequestServer(
@@ -91,7 +92,11 @@ class IdentificationNode(ManagedNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take messages and requests, and publish the last map of the process before this one."""
-        self._publish_again()
+        last = self._identifier.folders.last()
+        if last is not None:
+            reply = again(last)
+            self._publish(flux_map_message(reply, self._frame_id))
+            self.get_logger().info(reply.message)
         return super().on_activate(state)
 
     def rest(self) -> bool:
@@ -126,9 +131,6 @@ class IdentificationNode(ManagedNode):
         self._identifier.take(refit)
         if self._identifier.refits.publishes and not self._requests.busy:
             self._publish(flux_map_message(self._identifier.provisional(refit), self._frame_id))
-
-    def _check_settings(self, settings: FitSettings) -> None:
-        method_named(settings.method)  # refuses a method that live samples cannot serve
 
     def _on_settings(self, settings: FitSettings) -> None:
         self._inbox.empty()
@@ -182,14 +184,6 @@ class IdentificationNode(ManagedNode):
             return
         for point in points.take():
             self._operating_point.publish(operating_point_message(point, self._frame_id))
-
-    def _publish_again(self) -> None:
-        """Publish the last map of the process before this one."""
-        last = self._identifier.folders.last()
-        if last is not None:
-            reply = again(last)
-            self._publish(flux_map_message(reply, self._frame_id))
-            self.get_logger().info(reply.message)
 
     def _on_reset(self, _: Any, response: Any) -> Any:
         self._forget()

@@ -54,8 +54,9 @@ class Recorder(ManagedNode):
         self._clock_watch = ClockWatch()
         self._note = RecordingNote(self._settings.data_directory, self.get_fully_qualified_name())
         self._topics = RecordedTopics(self, self._on_message, self._settings.queue_depth)
-        self._topics.extra.want(self._settings.extra_topics)
-        on_change(self, RecordingSettings, self._check_settings, self._on_settings)
+        extra = self._topics.extra
+        extra.want(self._settings.extra_topics)
+        on_change(self, RecordingSettings, lambda new: extra.resolved(new.extra_topics), self._on_settings)
         self.paced.create(StartRecording, "~/start", self._on_start)
         self.paced.create(StopRecording, "~/stop", self._on_stop)
         for name, (command, said) in _COMMANDS.items():
@@ -103,9 +104,6 @@ class Recorder(ManagedNode):
         self._session, self._stopping = None, False
         self._note.end()
         return True
-
-    def _check_settings(self, settings: RecordingSettings) -> None:
-        self._topics.extra.resolved(settings.extra_topics)
 
     def _on_settings(self, settings: RecordingSettings) -> None:
         self._settings = settings  # for the next recording

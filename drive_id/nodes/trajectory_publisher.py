@@ -214,12 +214,10 @@ class TrajectoryPublisher(ManagedNode):
         return self._replied("stop", response, self._experiment.stop(self._now()))  # inactive: nothing is running
 
     def _on_clear_fault(self, _: Any, response: Any) -> Any:
-        return self._replied("clear_fault", response, self._clear_fault())
-
-    def _clear_fault(self) -> Answer:
-        if not self.active:
-            return Answer("inactive", f"Not cleared. {self.inactive()}")
-        return self._experiment.clear_fault(self._now(), time.monotonic())
+        answer = Answer("inactive", f"Not cleared. {self.inactive()}")
+        if self.active:
+            answer = self._experiment.clear_fault(self._now(), time.monotonic())
+        return self._replied("clear_fault", response, answer)
 
     def _replied(self, request: str, response: Any, answer: Answer) -> Any:
         """Act on a request at once, and answer it."""

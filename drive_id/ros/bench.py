@@ -12,7 +12,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
-from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -169,7 +169,8 @@ class Bench:
         self.timeout = timeout
         self._tell = tell
         self._begun = False
-        self._statuses: dict[str, DiagnosticStatus] = {}
+        self._statuses: dict[str, DiagnosticStatus] = {}  # by node, as is what follows
+        self._figures: dict[str, dict[str, str]] = {}
         self._states: list[str] = []
         self._context = Context()
         with fast_dds(), ros_arguments():
@@ -250,8 +251,7 @@ class Bench:
         self._heartbeats.publish(Empty())  # long before the start, which may require it
         self._begun = True  # before there is an answer, which may come too late
         started = self._called(f"{RECORDER}/start", name=name)
-        if not started.success:  # the recorder may be busy for another client, who shall not be stopped
-            self._begun = False
+        self._begun = started.success  # else the recorder may be busy for another client, who shall not be stopped
         self._succeeded(f"{RECORDER}/start", started)
         self._required(f"{IDENTIFICATION}/reset")
         self._run_trajectory()
@@ -393,10 +393,8 @@ class Bench:
 
     def _parameter(self, node: str, name: str) -> float:
         """Return a parameter of a node that is a number or true, 0 if it is neither."""
-        (value,) = self._values(node, [name])
-        if value.type == ParameterType.PARAMETER_DOUBLE:
-            return float(value.double_value)
-        return float(value.bool_value) if value.type == ParameterType.PARAMETER_BOOL else 0.0
+        (value,) = map(parameter_value_to_python, self._values(node, [name]))
+        return float(value) if isinstance(value, (bool, float)) else 0.0
 
     def _called(self, name: str, /, **fields: Any) -> Any:
         """Call a service and return its response, which itself tells of success."""
@@ -438,10 +436,8 @@ class Bench:
 
     def _value(self, node: str, key: str) -> float:
         """Return a number that a node reports, 0 if it reports none."""
-        status = self._statuses.get(node)
-        values = {entry.key: entry.value for entry in status.values} if status is not None else {}
         with contextlib.suppress(ValueError):
-            return float(values.get(key, ""))
+            return float(self._figures.get(node, {}).get(key, ""))
         return 0.0
 
     def _said(self, node: str) -> str:
@@ -453,5 +449,6 @@ class Bench:
             if node is None:
                 continue
             self._statuses[node] = status
+            self._figures[node] = {entry.key: entry.value for entry in status.values}
             if node == PUBLISHER:
-                self._states.append({entry.key: entry.value for entry in status.values}.get("state", ""))
+                self._states.append(self._figures[node].get("state", ""))

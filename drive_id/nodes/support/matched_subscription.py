@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from drive_id.files.storage.metadata import Qos
 from drive_id.live.publishers import Publisher, of_type, reliable_wanted
-from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT
+from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT, full_name
 
 
 class MatchedSubscription:
@@ -128,7 +128,7 @@ class MatchedSubscription:
 
 def _publisher(info: Any) -> Publisher:
     return Publisher(
-        f"{info.node_namespace.rstrip('/')}/{info.node_name}",
+        full_name(info),
         info.topic_type,
         info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT,
         info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,

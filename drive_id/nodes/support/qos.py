@@ -30,7 +30,7 @@ def incompatible_subscriptions(node: Node, topic: str) -> list[str]:
     """
     name = node.resolve_topic_name(topic)
     own = [
-        info for info in node.get_publishers_info_by_topic(name) if _full_name(info) == node.get_fully_qualified_name()
+        info for info in node.get_publishers_info_by_topic(name) if full_name(info) == node.get_fully_qualified_name()
     ]
     if not own:
         return []  # not yet in the graph
@@ -46,9 +46,10 @@ def incompatible_subscriptions(node: Node, topic: str) -> list[str]:
             why = f"its quality of service is incompatible ({reason.removeprefix('ERROR: ').strip(' ;')})."
         else:
             continue
-        sentences.append(f"{_full_name(info)} receives nothing on {name}: {why}")
+        sentences.append(f"{full_name(info)} receives nothing on {name}: {why}")
     return sentences
 
 
-def _full_name(info: TopicEndpointInfo) -> str:
+def full_name(info: TopicEndpointInfo) -> str:
+    """Return the full name of the node of an endpoint."""
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"

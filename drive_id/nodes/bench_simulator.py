@@ -30,8 +30,10 @@ from drive_id.nodes.support.qos import STREAM
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.signal_messages import SignalPublishers
 
-_SHORTEST_TICK = 2e-3  # s
+_SHORTEST_TICK = 2e-3
+"""Time between looks at which samples are due, s: shorter blocks are published several at once."""
 _LONGEST_TICK = 2e-2
+"""The same, s: references and faults are taken so often, however long a block is."""
 
 
 class BenchSimulator(Node):

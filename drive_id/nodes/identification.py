@@ -24,18 +24,16 @@ from drive_id.live.identification.inbox import Inbox
 from drive_id.live.identification.refits import Refit
 from drive_id.live.identification.requests import Requests
 from drive_id.live.identification.warm_up import warm_up
-from drive_id.live.memory import return_free_memory, share_arenas
-from drive_id.live.worker import Worker
+from drive_id.live.worker import Worker, return_free_memory, share_arenas
 from drive_id.messages import Message
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.deferred_service import in_executor
 from drive_id.nodes.support.diagnostics import publish_health
-from drive_id.nodes.support.displays import flux_map_points, operating_point_message
 from drive_id.nodes.support.live_topics import LiveTopics
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import LATCHED, STREAM
-from drive_id.nodes.support.replies import NAMES, fill, flux_map_message
+from drive_id.nodes.support.replies import NAMES, fill, flux_map_message, flux_map_points, operating_point_message
 from drive_id.nodes.support.request_server import RequestServer
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.signal_messages import KINDS

@@ -7,8 +7,7 @@ from pathlib import Path
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Health, Level
-from drive_id.live.bridge_settings import BridgeSettings
-from drive_id.live.translator import SignalBlock, Translator
+from drive_id.live.translator import BridgeSettings, SignalBlock, Translator
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.foreign_topics import ForeignTopics

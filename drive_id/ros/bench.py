@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -42,15 +41,18 @@ SERVICES = {
     f"{IDENTIFICATION}/identify": Identify,
     **{f"{node}/get_parameters": GetParameters for node in NODES},
 }
-_IDLE, _TRIPPED = "idle", "tripped"
+_IDLE = "idle"
+_TRIPPED = "tripped"
 _LATEST_START = 5.0
 """Time after the start within which the publisher reports a trajectory, s."""
 _STOPPING = 5.0
 """Longest wait for each node when a bench is brought to rest, s."""
 _HEARTBEAT = 0.2
 """Time between signs of life to the publisher, s: a tenth of the time after which it stops without them."""
-_SPIN, _TOLD = 0.05, 1.0
-"""Longest pause between looks at a condition, and time between reports of progress, s."""
+_SPIN = 0.05
+"""Longest pause between looks at a condition, s: short beside every step."""
+_TOLD = 1.0
+"""Time between reports of progress, s: nobody reads faster."""
 
 
 @dataclass(frozen=True)
@@ -191,9 +193,7 @@ class Bench:
     def __enter__(self) -> Bench:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:

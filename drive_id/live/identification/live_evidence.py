@@ -22,12 +22,8 @@ _WAIT = 0.2
 class LiveSums:
     """What is kept of joined samples.
 
-    Parameters
-    ----------
-    excerpt : Spans
-        Of the trajectory, for the MAD; rests are left out of it, for at rest every map looks good.
-    resting : bool
-        The last piece was left out of the excerpt.
+    The excerpt of the trajectory, for the MAD, is without rests, for at rest every map looks good; ``resting`` says
+    that the last piece was left out of it.
     """
 
     evidence: Evidence
@@ -51,15 +47,7 @@ class LiveSums:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """Everything that had arrived at one moment; the stream goes on without it.
-
-    Parameters
-    ----------
-    join : StreamJoin
-        Finished.
-    rest : tuple of Piece
-        Of the join, not yet gathered.
-    """
+    """Everything that had arrived at one moment; the stream goes on without it. The rest is not yet gathered."""
 
     join: StreamJoin
     gathered: LiveSums

@@ -73,13 +73,7 @@ RefitJob = Callable[[Progress], Refit | None]
 
 
 class Refits:
-    """Schedules background fits of the live samples and keeps the last one; jobs run in other threads, one at a time.
-
-    Parameters
-    ----------
-    clock : callable
-        Returns the time, s.
-    """
+    """Schedules background fits of live samples and keeps the last one; jobs run in other threads, one at a time."""
 
     def __init__(self, settings: IdentificationSettings, clock: Callable[[], float] = time.monotonic) -> None:
         self._share = settings.refit_share

@@ -27,15 +27,7 @@ WAITING = "Waiting"
 
 @dataclass(frozen=True)
 class Stage:
-    """How far a request is.
-
-    Parameters
-    ----------
-    name : str
-        Waiting, Reading, Accumulating, Solving or Writing.
-    share : float
-        Estimated share of the whole request that is done, 0 to 1.
-    """
+    """How far a request is: a word, the estimated share of the whole that is done, 0 to 1, and both in a sentence."""
 
     name: str
     share: float
@@ -125,13 +117,7 @@ class Requests:
         return f"{what or self._running.stage.name}." if share is None else f"{what}, {100 * share:.0f} %."
 
     def submit(self, request: Request, *, may_wait: bool) -> None:
-        """Begin a request, let it wait, or refuse it by :data:`~drive_id.live.identification.identifier.BUSY`.
-
-        Parameters
-        ----------
-        may_wait : bool
-            It may wait for the one under way if no other one does.
-        """
+        """Begin a request, or refuse it as busy; ``may_wait``: let it wait for the one under way if no other does."""
         self._forget_ended()
         if not self.busy and len(self._abandoned) < MOST_ABANDONED:
             self._begin(request)

@@ -24,13 +24,7 @@ _LONGEST_NOTE = 10_000  # bytes
 
 @dataclass(frozen=True, eq=False)
 class LastMap:
-    """The last result of a node.
-
-    Parameters
-    ----------
-    stamp : int
-        Of the last sample, ns.
-    """
+    """The last result of a node, its folder, and the stamp of its last sample, ns."""
 
     result: Identification
     folder: Path
@@ -38,13 +32,7 @@ class LastMap:
 
 
 class ResultFolders:
-    """Folders that a node makes for its results, all in one, which nodes of other drives may share.
-
-    Parameters
-    ----------
-    node : str
-        Full name of the node.
-    """
+    """Folders that a node, by its full name, makes for its results, all in one, which nodes of others may share."""
 
     def __init__(self, settings: IdentificationSettings, node: str) -> None:
         self._settings = settings

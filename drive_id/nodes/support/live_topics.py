@@ -29,14 +29,8 @@ _FOREIGN_DEPTH = 5000  # foreign messages that may wait while the node is busy
 class LiveTopics:
     """Subscribes between :meth:`open` and :meth:`close`; what arrives counts while the node is active.
 
-    Parameters
-    ----------
-    identifier : Identifier
-        Receives the samples.
-    inbox : Inbox
-        Where our messages wait while the node is behind.
-    signals : str
-        Signals file of a bench with topics of its own; empty: it publishes our messages.
+    The identifier receives the samples; our messages wait in the inbox while the node is behind. ``signals`` is the
+    signals file of a bench with topics of its own; empty: it publishes our messages.
     """
 
     def __init__(self, node: ManagedNode, identifier: Identifier, inbox: Inbox, signals: str) -> None:

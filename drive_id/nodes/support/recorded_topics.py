@@ -21,15 +21,7 @@ TOPICS = KINDS | {"current_reference": CurrentReference} | dict.fromkeys(SCALARS
 
 
 class RecordedTopics:
-    """Subscribes between :meth:`open` and :meth:`close`.
-
-    Parameters
-    ----------
-    receive : callable
-        Called with topic and serialized message.
-    depth : int
-        Queue depth, messages.
-    """
+    """Subscribes between :meth:`open` and :meth:`close`; hands topic and serialized message to ``receive``."""
 
     def __init__(self, node: Node, receive: Callable[[str, bytes], None], depth: int) -> None:
         self._node, self._receive, self._depth = node, receive, depth

@@ -10,7 +10,7 @@ from pathlib import Path
 from drive_id.errors import ConfigurationError, NotABagError, OutputError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", re.ASCII)
-_LONGEST = 200
+_LONGEST = 200  # characters: file systems take 255 bytes, and the files of a bag add to its name
 
 
 def new_recording(directory: Path, name: str, now: datetime) -> Path:

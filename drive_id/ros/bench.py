@@ -26,9 +26,9 @@ from drive_id.nodes.support.arguments import ros_arguments
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.middleware import fast_dds
 from drive_id.nodes.support.replies import NAMES
+from drive_id.nodes.support.signal_messages import KINDS
 
 PUBLISHER, RECORDER, IDENTIFICATION = NODES = ("trajectory_publisher", "recorder", "identification")
-MEASURED = ("phase_currents", "phase_voltages", "resolver")
 PARAMETERS = {"get_parameters": GetParameters, "set_parameters_atomically": SetParametersAtomically}
 SERVICES = {
     f"{RECORDER}/start": StartRecording,
@@ -365,7 +365,7 @@ class Bench:
 
     def _check(self) -> None:
         """Compare parameters of the nodes, and count who publishes the drive's signals."""
-        for topic in MEASURED:
+        for topic in KINDS:
             count = self._node.count_publishers(topic)
             if count > 1:
                 raise ExperimentError(

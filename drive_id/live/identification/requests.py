@@ -22,7 +22,6 @@ _STAGES: Final = {
     "Turning": (0.0, 0.8), "Shaking": (0.8, 1.0),  # a first start
 }  # fmt: skip
 _USUAL_STEPS = 60.0  # of a solution by method full
-WAITING = "Waiting"
 
 
 @dataclass(frozen=True)
@@ -196,7 +195,7 @@ class Requests:
         waiting = self._waiting
         if waiting is not None and waiting.tell is not None and now - self._waiting_told > _PERIOD:
             self._waiting_told = now
-            waiting.tell(Stage(WAITING, 0.0, "Waiting for the request under way."))
+            waiting.tell(Stage("Waiting", 0.0, "Waiting for the request under way."))
 
     def _forget_ended(self) -> None:
         self._abandoned = [worker for worker in self._abandoned if worker.busy]

@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -377,12 +377,9 @@ class RecordingSession:
         """Count the messages in the last file again: some of those handed to the writer never reached the disk."""
         written = self._before
         file = self._writer.files[-1]
-        storage = McapStorage(file, file)
-        try:
+        with closing(McapStorage(file, file)) as storage:
             for message in storage.messages(frozenset(written)):
                 written[message.topic].add(self._head(message.topic, message.data, message.log_time))
-        finally:
-            storage.close()
         self._written = written
 
 

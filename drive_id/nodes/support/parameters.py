@@ -25,7 +25,7 @@ _TYPES = {
     str: Parameter.Type.STRING,
 }
 _ARRAYS = {python: Parameter.Type[f"{kind.name}_ARRAY"] for python, kind in _TYPES.items()}
-_LARGEST = 1.7e308
+_LARGEST = 1.7e308  # bound of a DOUBLE without bounds: nearly the largest float, so that infinity is refused
 
 
 def declare_settings(node: Node, cls: type[Settings], *, read_only: Iterable[str] = ()) -> Settings:

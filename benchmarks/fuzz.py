@@ -44,7 +44,7 @@ from scipy.interpolate import RegularGridInterpolator
 
 import drive_id
 from drive_id.cli import app
-from drive_id.live.memory import return_free_memory
+from drive_id.live.worker import return_free_memory
 
 PROCESSOR, WALL, MEMORY = 10.0, 90.0, 400e6
 """Budget of one input: s of processor time, s until it is taken for a hang, bytes over those of the good inputs."""

@@ -14,9 +14,9 @@ from drive_id.core.experiment.encoder import Encoder
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError
-from drive_id.live.bridge_settings import BridgeSettings
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.recording.recording_settings import RecordingSettings
+from drive_id.live.translator import BridgeSettings
 from drive_id.settings import Checked, from_mapping, setting
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import re
 from datetime import datetime
+from itertools import count
 from pathlib import Path
 
 from drive_id.errors import ConfigurationError, NotABagError, OutputError
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", re.ASCII)
-_LONGEST = 200
+_LONGEST = 200  # characters: file systems take 255 bytes, and the files of a bag add to its name
 
 
 def new_recording(directory: Path, name: str, now: datetime) -> Path:
@@ -31,9 +32,7 @@ def new_recording(directory: Path, name: str, now: datetime) -> Path:
     """
     base = directory.expanduser().absolute()
     if not name:
-        stem = now.strftime("recording_%Y-%m-%d_%H-%M-%S")
-        free = (base / stem, *(base / f"{stem}_{number}" for number in range(2, 1000)))
-        return next(path for path in free if not _exists(path))
+        return free_path(base, now.strftime("recording_%Y-%m-%d_%H-%M-%S"))
     if len(name) > _LONGEST or not _NAME.fullmatch(name):
         raise ConfigurationError(
             f"'{_shown(name)}' is not a name for a recording: use letters, digits and _ . + -, begin with a letter or "
@@ -42,6 +41,12 @@ def new_recording(directory: Path, name: str, now: datetime) -> Path:
     if _exists(base / name):
         raise OutputError(f"{base / name} exists already: choose another name, or remove it.")
     return base / name
+
+
+def free_path(folder: Path, stem: str) -> Path:
+    """Return the first of ``stem``, ``stem_2``, ``stem_3``, ... in a folder that is not there yet."""
+    paths = (folder / (stem if number == 1 else f"{stem}_{number}") for number in count(1))
+    return next(path for path in paths if not _exists(path))
 
 
 def existing_recording(directory: Path, name: str) -> Path:

@@ -19,8 +19,11 @@ _CELLS = 24
 _WANTED = 0.01
 """Relative error of R, at 95 %, that is forecast."""
 _Z = 1.96
-_LEAST_GROWTH, _MOST_GROWTH = 1.2, 4.0
-"""Ratio of samples between the two fits of a forecast, and of those it needs to those there are."""
+"""Half of the 95 % interval of a normal distribution, by its standard deviation."""
+_LEAST_GROWTH = 1.2
+"""Ratio of samples between the two fits of a forecast: with less, their errors hardly differ."""
+_MOST_GROWTH = 4.0
+"""Ratio of the samples that a forecast needs to those there are: it reaches no further."""
 _EXPONENTS = (0.3, 0.8)
 """Of the samples, with which a standard error falls that may be extrapolated: white noise has 0.5."""
 

@@ -1,4 +1,4 @@
-"""Translate messages of a bench's own topics to blocks of our signals, by a signals file."""
+"""Translate messages of a bench's own topics to blocks of our signals, by a signals file: settings and work."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from drive_id.files.messages.signal_sources import SignalMap
 from drive_id.files.read.conversion import conversions
 from drive_id.files.read.extraction import INTERPOLATED, SignalBuilder
 from drive_id.files.storage.container import RawMessage, TopicInfo
+from drive_id.settings import Checked, setting
 from drive_id.types import Samples
 
 _BATCH = 100  # samples that are joined at once: 10 ms at 10 kHz
@@ -25,6 +26,20 @@ _CAPACITY = 50_000  # samples of a signal that wait for the others
 _LONGEST_DELAY = 2.0  # s, between signals stamped by one clock
 _MOST_WAITING = 200_000
 """Messages of a signal that wait for :meth:`Translator.advance`; earlier ones are dropped beyond."""
+
+
+@dataclass(frozen=True)
+class BridgeSettings(Checked):
+    """Signals file and blocks of the bridge."""
+
+    signals: str = setting("", "Signals file that names the bench's topics and fields; required")
+    block_period: float = setting(
+        0.01, "Time between blocks: shorter ones arrive earlier and cost more", unit="s", minimum=1e-3, maximum=1.0
+    )
+    queue_depth: int = setting(
+        5000, "Messages of each topic that may wait while the node is busy", minimum=1, maximum=1_000_000
+    )
+    frame_id: str = setting("drive", "Name of the drive in the headers")
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +113,8 @@ class Translator:
                 "smoothing or decimation): live signals need a speed in the resolver's message and stamps as they are."
             )
         self._sources = {name: source for name, source in sources.items() if name != "reference"}
+        self.topics = tuple(dict.fromkeys(source.topic for source in self._sources.values()))
+        """Topics to subscribe to, as named in the signals file."""
         self._builders = {name: SignalBuilder(each.topic, name, each) for name, each in self._sources.items()}
         self._readers: dict[str, list[tuple[str, Reader]]] = {}
         self._waiting: dict[str, list[MessageSamples]] = defaultdict(list)
@@ -111,7 +128,6 @@ class Translator:
             to_phases=conversions(signals),
             sort=sort,
         )
-        self._pieces: list[Piece] = []
         self._next = 0
         self._last_stamp: int | None = None
         self.unreadable = 0
@@ -119,11 +135,6 @@ class Translator:
         """Messages that waited too long."""
         self.last_error = ""
         self._newest: dict[str, int] = {}
-
-    @property
-    def topics(self) -> tuple[str, ...]:
-        """Topics to subscribe to, as named in the signals file."""
-        return tuple(dict.fromkeys(source.topic for source in self._sources.values()))
 
     def found(self, given: str, topic: TopicInfo) -> None:
         """Set the type of a topic, named as in the signals file.
@@ -155,6 +166,7 @@ class Translator:
     def advance(self) -> list[SignalBlock]:
         """Join what has arrived and return it as blocks, one for each stretch without a gap."""
         waiting, self._waiting = self._waiting, defaultdict(list)
+        joined: list[Piece] = []
         for section, pieces in waiting.items():
             try:
                 signal = self._builders[section].build(pieces)
@@ -162,8 +174,8 @@ class Translator:
                 self.unreadable += len(pieces)
                 self.last_error = str(error)
                 continue
-            self._add(section, signal)
-        joined, self._pieces = [*self._pieces, *self._join.advance()], []
+            joined += self._add(section, signal)
+        joined += self._join.advance()
         return [block for piece in joined for block in self._cut(piece)]
 
     def report(self) -> JoinReport:
@@ -178,13 +190,13 @@ class Translator:
         shown = ", ".join(f"{name} ({self._sources[name].topic}) {time:.3f} s" for name, time in times.items())
         return f"The latest stamps are too far apart for one clock ({shown}): stamp all signals by the same clock."
 
-    def _add(self, section: str, signal: Signal) -> None:
+    def _add(self, section: str, signal: Signal) -> list[Piece]:
         if len(signal.stamp):
             self._newest[section] = int(signal.stamp[-1])
         if section in SECTIONS:
-            self._pieces += self._join.add(SECTIONS.index(section), signal)
-        else:
-            self._join.add_scalar(section, signal)
+            return self._join.add(SECTIONS.index(section), signal)
+        self._join.add_scalar(section, signal)
+        return []
 
     def _cut(self, piece: Piece) -> list[SignalBlock]:
         samples = piece.samples

@@ -1,16 +1,38 @@
-"""A thread that runs one long job at a time and can cancel it."""
+"""A thread that runs one long job at a time and can cancel it, and what its process does with the memory of fits."""
 
 from __future__ import annotations
 
+import ctypes
 import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from drive_id.core.numerics.threads import interruptible
-from drive_id.live.memory import return_free_memory
 from drive_id.types import Progress
 
 Result = TypeVar("Result")
+_M_ARENA_MAX = -8
+"""Parameter of mallopt, as malloc.h of glibc has it."""
+_ARENAS = 2
+"""Of malloc: the main one, and one for all other threads."""
+
+
+def share_arenas() -> None:
+    """Limit this process to two malloc arenas of glibc; call it before any thread is started.
+
+    By default, threads get arenas of their own, each of which keeps its peak memory after a fit. Without glibc, this
+    does nothing.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_M_ARENA_MAX, _ARENAS)
+
+
+def return_free_memory() -> None:
+    """Return free memory to the system: some 10 ms after a fit. Without glibc, this does nothing."""
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
 
 
 class Cancelled(BaseException):  # like KeyboardInterrupt, no handler of errors may catch it
@@ -26,7 +48,8 @@ class Worker(Generic[Result]):
     def __init__(self) -> None:
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
-        self._progress: tuple[str, float | None] = ("", None)
+        self.progress: tuple[str, float | None] = ("", None)
+        """Name of the present step and its completed share, 0 to 1; None where the share is unknown."""
         self.steps = 0
         """Number of places that the job has passed at which it can be cancelled."""
 
@@ -34,11 +57,6 @@ class Worker(Generic[Result]):
     def busy(self) -> bool:
         """Whether a job is running."""
         return self._thread is not None and self._thread.is_alive()
-
-    @property
-    def progress(self) -> tuple[str, float | None]:
-        """Name of the present step and its completed share, 0 to 1; None where the share is unknown."""
-        return self._progress
 
     def start(self, job: Callable[[Progress], Result], done: Callable[[Result], None]) -> None:
         """Run a job.
@@ -60,7 +78,7 @@ class Worker(Generic[Result]):
 
         def tell(what: str, share: float | None) -> None:
             check()
-            self._progress = (what, share)
+            self.progress = (what, share)
 
         def run() -> None:
             try:
@@ -80,9 +98,8 @@ class Worker(Generic[Result]):
         """Have the job end at the next place where it can be cancelled: fits pass several a second."""
         self._stopping.set()
 
-    def stop(self, patience: float) -> bool:
-        """Cancel the job, and return whether it ended within ``patience``, s."""
+    def stop(self, patience: float) -> None:
+        """Cancel the job, and wait ``patience``, s, for its end."""
         self.cancel()
         if self._thread is not None:
             self._thread.join(patience)
-        return not self.busy

@@ -2,6 +2,5 @@
 
 import os
 
-os.environ.setdefault(
-    "OPENBLAS_NUM_THREADS", "1"
-)  # before numpy is loaded; small matrices gain nothing from more threads
+# Before numpy is loaded: small matrices gain nothing from more threads.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import array
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
-from rclpy.clock import Clock, ClockType
+from drive_id_msgs.msg import CurrentReference, DriveStatus
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.time import Time
@@ -24,14 +22,18 @@ from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import write_truth
 from drive_id.fitting.simulated import load_machine
 from drive_id.health import Health
-from drive_id.nodes.support.diagnostics import HealthPublisher
+from drive_id.nodes.support.clocks import STEADY
+from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.experiment_messages import stamp_of, status_message
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import STREAM
 from drive_id.nodes.support.runtime import run
+from drive_id.nodes.support.signal_messages import SignalPublishers
 
-_SHORTEST_TICK = 2e-3  # s
+_SHORTEST_TICK = 2e-3
+"""Time between looks at which samples are due, s: shorter blocks are published several at once."""
 _LONGEST_TICK = 2e-2
+"""The same, s: references and faults are taken so often, however long a block is."""
 
 
 class BenchSimulator(Node):
@@ -54,31 +56,20 @@ class BenchSimulator(Node):
         self._said: Channel[MessageBlock | feedback.DriveStatus] = Channel(self._drive.seed + 1)
         self._pace: Pace | None = None
         self._tell_truth()
-        self._publishers_kept = {
-            kind: self.create_publisher(kind, topic, STREAM)
-            for kind, topic in (
-                (PhaseCurrents, "phase_currents"),
-                (PhaseVoltages, "phase_voltages"),
-                (Resolver, "resolver"),
-            )
-        }
+        self._signals = SignalPublishers(self, self._settings.frame_id, self._drive.log_scalars)
         self._status_publisher = self.create_publisher(DriveStatus, "drive_status", STREAM)
-        self._scalar_publishers = {
-            name: self.create_publisher(ScalarSamples, name, STREAM) for name in self._drive.log_scalars
-        }
         self._clock_publisher = (
             self.create_publisher(ClockMessage, "/clock", QoSProfile(depth=1))
             if self._settings.time_scale != 1.0
             else None
         )
-        self._subscription = self.create_subscription(CurrentReference, "current_reference", self._on_reference, STREAM)
+        self.create_subscription(CurrentReference, "current_reference", lambda message: self._follow([message]), STREAM)
         on_change(self, SimulationSettings, self._check, self._on_settings)
         on_change(self, Encoder, self._check_encoder, self._on_encoder)
         on_change(self, FaultSettings, lambda _: None, self._on_faults)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
         tick = self._settings.block_size * self._drive.sample_period / self._settings.time_scale
-        self._timer = self.create_timer(min(max(tick, _SHORTEST_TICK), _LONGEST_TICK), self._on_timer, clock=steady)
-        self._diagnostics = HealthPublisher(self, self._health)
+        self.create_timer(min(max(tick, _SHORTEST_TICK), _LONGEST_TICK), self._on_timer, clock=STEADY)
+        publish_health(self, self._health)
         self.get_logger().info("Ready.")
 
     def _tell_truth(self) -> None:
@@ -95,8 +86,7 @@ class BenchSimulator(Node):
     def _health(self) -> Health:
         """Add the number of subscribers: what is published before one is discovered never reaches it."""
         health = self._bench.health()
-        publishers = self._publishers_kept.values()
-        listeners = {f"{p.topic_name}: listeners": str(p.get_subscription_count()) for p in publishers}
+        listeners = {f"{topic}: listeners": str(count) for topic, count in self._signals.listeners().items()}
         return replace(health, values={**health.values, **listeners})
 
     def _now(self) -> int:
@@ -125,26 +115,11 @@ class BenchSimulator(Node):
             self._clock_publisher.publish(ClockMessage(clock=Time(nanoseconds=now).to_msg()))
 
     def _publish(self, block: MessageBlock) -> None:
-        for kind, names, columns in (
-            (PhaseCurrents, "abc", block.currents),
-            (PhaseVoltages, "abc", block.voltages),
-            (Resolver, ("angle", "speed"), block.resolver),
-        ):
-            message = kind(first_sample=block.first_sample, sample_period=block.sample_period)
-            message.header.stamp = Time(nanoseconds=block.stamp).to_msg()
-            message.header.frame_id = self._settings.frame_id
-            for name, column in zip(names, columns, strict=True):
-                setattr(message, name, array.array("f", column.tobytes()))
-            self._publishers_kept[kind].publish(message)
+        self._signals.publish("phase_currents", block, block.currents)
+        self._signals.publish("phase_voltages", block, block.voltages)
+        self._signals.publish("resolver", block, block.resolver)
         for name, scalar in block.scalars.items():
-            message = ScalarSamples(first_sample=scalar.first_sample, sample_period=scalar.sample_period)
-            message.header.stamp = Time(nanoseconds=scalar.stamp).to_msg()
-            message.header.frame_id = self._settings.frame_id
-            message.value = array.array("f", scalar.values[0].tobytes())
-            self._scalar_publishers[name].publish(message)
-
-    def _on_reference(self, message: CurrentReference) -> None:
-        self._follow([message])
+            self._signals.publish(name, scalar, scalar.values)
 
     def _follow(self, received: list[CurrentReference]) -> None:
         """Follow the references that have arrived."""

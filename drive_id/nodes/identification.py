@@ -11,33 +11,32 @@ from typing import Any
 from drive_id_msgs.action import Identify as IdentifyGoal
 from drive_id_msgs.msg import FluxMap, OperatingPoint
 from drive_id_msgs.srv import Command, Identify
-from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import PointCloud2
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.registry import method_named
 from drive_id.errors import InactiveError
-from drive_id.health import Health
+from drive_id.health import Health, Level
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.identifier import DEACTIVATED, Identifier, Job, Reply, again
 from drive_id.live.identification.inbox import Inbox
 from drive_id.live.identification.refits import Refit
-from drive_id.live.identification.requests import Request, Requests
+from drive_id.live.identification.requests import Requests
 from drive_id.live.identification.warm_up import warm_up
-from drive_id.live.memory import return_free_memory, share_arenas
-from drive_id.live.worker import Worker
+from drive_id.live.worker import Worker, return_free_memory, share_arenas
 from drive_id.messages import Message
-from drive_id.nodes.support.deferred_service import DeferredService, LaterResponse, in_executor
-from drive_id.nodes.support.diagnostics import HealthPublisher
-from drive_id.nodes.support.displays import flux_map_points, operating_point_message
-from drive_id.nodes.support.live_topics import TOPICS, LiveTopics
+from drive_id.nodes.support.clocks import STEADY
+from drive_id.nodes.support.deferred_service import in_executor
+from drive_id.nodes.support.diagnostics import publish_health
+from drive_id.nodes.support.live_topics import LiveTopics
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import LATCHED, STREAM
-from drive_id.nodes.support.replies import NAMES, fill, flux_map_message
-from drive_id.nodes.support.request_action import RequestAction
+from drive_id.nodes.support.replies import NAMES, fill, flux_map_message, flux_map_points, operating_point_message
+from drive_id.nodes.support.request_server import RequestServer
 from drive_id.nodes.support.runtime import run
+from drive_id.nodes.support.signal_messages import KINDS
 from drive_id.types import SCALARS, Progress
 
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way, and at whether a background fit is due
@@ -56,7 +55,7 @@ class IdentificationNode(ManagedNode):
         self.get_logger().info("Loading the numerical kernels; the first start compiles them.")
         warm_up(fit)
         return_free_memory()
-        topics: Any = tuple(self.resolve_topic_name(name) for name in TOPICS)
+        topics: Any = tuple(self.resolve_topic_name(name) for name in KINDS)
         scalar_topics = {name: self.resolve_topic_name(name) for name in SCALARS}
         self._identifier = Identifier(settings, fit, topics, scalar_topics, self.get_fully_qualified_name())
         self._frame_id = settings.frame_id
@@ -67,19 +66,17 @@ class IdentificationNode(ManagedNode):
         self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED)
         self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED)
         self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
-        on_change(self, FitSettings, self._check_settings, self._on_settings)
+        # A method that live samples cannot serve is refused.
+        on_change(self, FitSettings, lambda settings: method_named(settings.method), self._on_settings)
         self._topics = LiveTopics(self, self._identifier, self._inbox, settings.signals)
-        self._service = DeferredService(self.paced, Identify, "~/identify", self._on_identify)
         self.paced.create(Command, "~/reset", self._on_reset)
-        self._action = RequestAction(self, IdentifyGoal, "~/identify", self._requests, self._job, self._said)
-        self._request_timer = self.create_timer(
-            _REQUEST_PERIOD, self._look_after_requests, clock=Clock(clock_type=ClockType.STEADY_TIME)
+        self._server = RequestServer(
+            self, self.paced, Identify, IdentifyGoal, "~/identify", self._requests, self._job, self._said
         )
+        self.create_timer(_REQUEST_PERIOD, self._look_after_requests, clock=STEADY)
         if settings.operating_point_rate > 0:
-            self._operating_timer = self.create_timer(
-                _OPERATING_PERIOD, self._publish_operating_points, clock=Clock(clock_type=ClockType.STEADY_TIME)
-            )
-        self._diagnostics = HealthPublisher(self, self._health)
+            self.create_timer(_OPERATING_PERIOD, self._publish_operating_points, clock=STEADY)
+        publish_health(self, self._health)
         self.bring_up(f"Ready: recordings from {settings.data_directory}, live samples of {topics[0]}.")
 
     def connect(self) -> None:
@@ -93,7 +90,11 @@ class IdentificationNode(ManagedNode):
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Take messages and requests, and publish the last map of the process before this one."""
-        self._publish_again()
+        last = self._identifier.folders.last()
+        if last is not None:
+            reply = again(last)
+            self._publish(flux_map_message(reply, self._frame_id))
+            self.get_logger().info(reply.message)
         return super().on_activate(state)
 
     def rest(self) -> bool:
@@ -110,8 +111,7 @@ class IdentificationNode(ManagedNode):
 
     def _look_after_requests(self) -> None:
         self._inbox.look()
-        self._requests.look()
-        self._action.look()
+        self._server.look()
         self._refit()
 
     def _refit(self) -> None:
@@ -130,20 +130,11 @@ class IdentificationNode(ManagedNode):
         if self._identifier.refits.publishes and not self._requests.busy:
             self._publish(flux_map_message(self._identifier.provisional(refit), self._frame_id))
 
-    def _check_settings(self, settings: FitSettings) -> None:
-        method_named(settings.method)  # refuses a method that live samples cannot serve
-
     def _on_settings(self, settings: FitSettings) -> None:
         self._inbox.empty()
         if self._identifier.configure(settings):
             self._life += 1
             self.get_logger().info("The live samples were discarded because the settings of the fit changed.")
-
-    def _on_identify(self, request: Identify.Request, answer: LaterResponse) -> None:
-        def finish(reply: Reply) -> None:
-            answer(self._said(Identify.Response(), reply))
-
-        self._requests.submit(Request(partial(self._job, request), finish), may_wait=False)
 
     def _job(self, request: Any) -> Job:
         """Return the job of a request whose turn has come."""
@@ -192,14 +183,6 @@ class IdentificationNode(ManagedNode):
         for point in points.take():
             self._operating_point.publish(operating_point_message(point, self._frame_id))
 
-    def _publish_again(self) -> None:
-        """Publish the last map of the process before this one."""
-        last = self._identifier.folders.last()
-        if last is not None:
-            reply = again(last)
-            self._publish(flux_map_message(reply, self._frame_id))
-            self.get_logger().info(reply.message)
-
     def _on_reset(self, _: Any, response: Any) -> Any:
         self._forget()
         return self.answer("reset", response, response.CODE_OK, "The live samples were discarded.")
@@ -212,7 +195,8 @@ class IdentificationNode(ManagedNode):
     def _health(self) -> Health:
         if not self.active:
             return self.inactive_health()
-        findings = [*self._inbox.findings(), *self._requests.findings(), *self._topics.findings()]
+        dropped = [(Level.WARN, warning) for warning in self._inbox.warnings()]
+        findings = [*dropped, *self._requests.findings(), *self._topics.findings()]
         return self._identifier.health(self._requests.doing, self._topics.publishers(), findings)
 
 

@@ -15,10 +15,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from drive_id_msgs.msg import DriveStatus, FluxMap, OperatingPoint, PublisherState
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from drive_id.live.live_view import LiveView
+from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.qos import LATCHED, STREAM_BEST_EFFORT
 from drive_id.nodes.support.runtime import run
 
@@ -45,7 +45,7 @@ class LiveFeed(Node):
             "/diagnostics": (DiagnosticArray, self._on_diagnostics, STREAM_BEST_EFFORT),
         }
         self._kept = [self.create_subscription(kind, name, act, qos) for name, (kind, act, qos) in topics.items()]
-        self._timer = self.create_timer(_PERIOD, self._print, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(_PERIOD, self._print, clock=STEADY)
 
     def _on_state(self, name: str, message: Any) -> None:
         self._view.state(name, {field: getattr(message, field) for field in _STATES[name]})

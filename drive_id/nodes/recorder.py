@@ -6,11 +6,11 @@ import os
 import time
 from collections.abc import Callable
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drive_id_msgs.srv import Command, StartRecording, StopRecording
-from rclpy.clock import Clock, ClockType
 
 from drive_id.errors import DriveIdError
 from drive_id.health import Health, Level
@@ -20,7 +20,8 @@ from drive_id.live.recording.recorder_health import recorder_health
 from drive_id.live.recording.recording_note import RecordingNote
 from drive_id.live.recording.recording_session import RecordingSession, free_space, shortage
 from drive_id.live.recording.recording_settings import RecordingSettings
-from drive_id.nodes.support.diagnostics import HealthPublisher
+from drive_id.nodes.support.clocks import STEADY
+from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.recorded_topics import RecordedTopics
@@ -29,13 +30,16 @@ from drive_id.nodes.support.runtime import run
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
 _PATIENCE = 3.0  # s that ~/stop waits for a slow disk
 _LAST_PATIENCE = 30.0  # s, at the end of the process
-_SCARCE = 10.0
-"""Multiple of least_free_space below which diagnostics warn of the disk."""
 _NOTHING = "Nothing is being recorded: start a recording first."
 _NO_CLOCK = (
     "The time is 0: use_sim_time is set, but nobody publishes /clock. Start whatever publishes it, or set use_sim_time "
     "to false."
 )
+_COMMANDS = {  # as rosbag2 names them: what is done, and what is replied
+    "pause": (RecordingSession.pause, "Paused: what comes until ~/resume is not recorded."),
+    "resume": (RecordingSession.resume, "Recording {path}."),
+    "split_bagfile": (RecordingSession.split, "{path} goes on in a new file."),
+}
 
 
 class Recorder(ManagedNode):
@@ -50,22 +54,17 @@ class Recorder(ManagedNode):
         self._clock_watch = ClockWatch()
         self._note = RecordingNote(self._settings.data_directory, self.get_fully_qualified_name())
         self._topics = RecordedTopics(self, self._on_message, self._settings.queue_depth)
-        self._topics.extra.want(self._settings.extra_topics)
-        on_change(self, RecordingSettings, self._check_settings, self._on_settings)
-        for kind, name, handle in (
-            (StartRecording, "~/start", self._on_start),
-            (StopRecording, "~/stop", self._on_stop),
-            (Command, "~/pause", self._on_pause),  # as rosbag2 names them
-            (Command, "~/resume", self._on_resume),
-            (Command, "~/split_bagfile", self._on_split),
-        ):
-            self.paced.create(kind, name, handle)
-        self._timer = self.create_timer(
-            _MATCH_PERIOD, self._check_topics, clock=Clock(clock_type=ClockType.STEADY_TIME)
-        )
+        extra = self._topics.extra
+        extra.want(self._settings.extra_topics)
+        on_change(self, RecordingSettings, lambda new: extra.resolved(new.extra_topics), self._on_settings)
+        self.paced.create(StartRecording, "~/start", self._on_start)
+        self.paced.create(StopRecording, "~/stop", self._on_stop)
+        for name, (command, said) in _COMMANDS.items():
+            self.paced.create(Command, f"~/{name}", partial(self._on_command, command, said))
+        self.create_timer(_MATCH_PERIOD, self._check_topics, clock=STEADY)
         if self._note.left:
             self.get_logger().error(self._note.left)
-        self._diagnostics = HealthPublisher(self, self._health)
+        publish_health(self, self._health)
         self.bring_up(f"Ready: recordings go to {self._settings.data_directory}.")
 
     def connect(self) -> None:
@@ -78,14 +77,13 @@ class Recorder(ManagedNode):
 
     def rest(self) -> bool:
         """Complete the bag of a running recording, and tell whether it is complete."""
-        return self._session is None or self._end_recording(_PATIENCE)
+        return self._end_recording(_PATIENCE)
 
     def close(self) -> None:
         """Complete the bag of a running recording."""
         self._end_recording(_LAST_PATIENCE)
 
     def _end_recording(self, patience: float) -> bool:
-        """Complete the bag of a running recording, and tell whether it is complete."""
         session = self._session
         if session is None:
             return True
@@ -106,9 +104,6 @@ class Recorder(ManagedNode):
         self._session, self._stopping = None, False
         self._note.end()
         return True
-
-    def _check_settings(self, settings: RecordingSettings) -> None:
-        self._topics.extra.resolved(settings.extra_topics)
 
     def _on_settings(self, settings: RecordingSettings) -> None:
         self._settings = settings  # for the next recording
@@ -142,10 +137,7 @@ class Recorder(ManagedNode):
             further.append((Level.OK, "Paused: call ~/resume to go on."))
         if self._note.left:
             further.append((Level.ERROR, self._note.left))
-        scarce = _SCARCE * self._settings.least_free_space
-        return recorder_health(
-            report, self._topics.states(), self._settings.silence, self._settings.queue_size, further, scarce
-        )
+        return recorder_health(report, self._topics.states(), self._settings, further)
 
     def _on_start(self, request: Any, response: Any) -> Any:
         code, message = self._start(request.name)
@@ -181,17 +173,7 @@ class Recorder(ManagedNode):
         self._clock_watch.begin(time.monotonic())
         return codes.CODE_OK, f"Recording {path}.{before}"
 
-    def _on_pause(self, _: Any, response: Any) -> Any:
-        message = "Paused: what comes until ~/resume is not recorded."
-        return self._commanded(response, RecordingSession.pause, message)
-
-    def _on_resume(self, _: Any, response: Any) -> Any:
-        return self._commanded(response, RecordingSession.resume, "Recording {path}.")
-
-    def _on_split(self, _: Any, response: Any) -> Any:
-        return self._commanded(response, RecordingSession.split, "{path} goes on in a new file.")
-
-    def _commanded(self, response: Any, command: Callable[[RecordingSession], None], message: str) -> Any:
+    def _on_command(self, command: Callable[[RecordingSession], None], message: str, _: Any, response: Any) -> Any:
         """Give the recording under way a command at this place among its messages, or say that there is none."""
         session = self._session
         if not self.active:

@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-import array
 from pathlib import Path
-from typing import Any
-
-from drive_id_msgs.msg import PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
-from rclpy.clock import Clock, ClockType
-from rclpy.time import Time
 
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Health, Level
-from drive_id.live.bridge_settings import BridgeSettings
-from drive_id.live.translator import SignalBlock, Translator
-from drive_id.nodes.support.diagnostics import HealthPublisher
+from drive_id.live.translator import BridgeSettings, SignalBlock, Translator
+from drive_id.nodes.support.clocks import STEADY
+from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.foreign_topics import ForeignTopics
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings
-from drive_id.nodes.support.qos import STREAM
 from drive_id.nodes.support.runtime import run
+from drive_id.nodes.support.signal_messages import SignalPublishers
 
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
-_NAMES = {"phase_currents": ("a", "b", "c"), "phase_voltages": ("a", "b", "c"), "resolver": ("angle", "speed")}
-_KINDS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
 
 
 class SignalBridge(ManagedNode):
@@ -35,16 +27,14 @@ class SignalBridge(ManagedNode):
         settings = declare_settings(self, BridgeSettings, read_only=BridgeSettings.__dataclass_fields__)
         if not settings.signals:
             raise ConfigurationError("The parameter signals is empty: name a signals file, see docs/signals_file.md.")
-        self._frame_id = settings.frame_id
         self._translator = Translator(read_signals(Path(settings.signals).expanduser()))
-        self._kept: dict[str, Any] = {name: self.create_publisher(kind, name, STREAM) for name, kind in _KINDS.items()}
+        self._signals = SignalPublishers(self, settings.frame_id)
         self._depth = settings.queue_depth
         self._foreign: ForeignTopics | None = None
         self._published = 0
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._match_timer = self.create_timer(_MATCH_PERIOD, self._match, clock=steady)
-        self._block_timer = self.create_timer(settings.block_period, self._on_timer, clock=steady)
-        self._diagnostics = HealthPublisher(self, self._health)
+        self.create_timer(_MATCH_PERIOD, self._match, clock=STEADY)
+        self.create_timer(settings.block_period, self._on_timer, clock=STEADY)
+        publish_health(self, self._health)
         topics = ", ".join(self.resolve_topic_name(name) for name in self._translator.topics)
         self.bring_up(f"Ready: translating {topics}.")
 
@@ -68,25 +58,12 @@ class SignalBridge(ManagedNode):
                 self._publish(block)
 
     def _publish(self, block: SignalBlock) -> None:
-        columns = {"phase_currents": block.currents, "phase_voltages": block.voltages, "resolver": block.resolver}
-        for name, values in columns.items():
-            message = self._headed(_KINDS[name], block)
-            for field, column in zip(_NAMES[name], values.T, strict=True):
-                setattr(message, field, array.array("f", column.tobytes()))
-            self._kept[name].publish(message)
-        for name, value in block.scalars.items():
-            message = self._headed(ScalarSamples, block)
-            message.value = array.array("f", value.tobytes())
-            if name not in self._kept:
-                self._kept[name] = self.create_publisher(ScalarSamples, name, STREAM)
-            self._kept[name].publish(message)
+        self._signals.publish("phase_currents", block, block.currents.T)
+        self._signals.publish("phase_voltages", block, block.voltages.T)
+        self._signals.publish("resolver", block, block.resolver.T)
+        for name, values in block.scalars.items():
+            self._signals.publish(name, block, [values])
         self._published += len(block.currents)
-
-    def _headed(self, kind: Any, block: SignalBlock) -> Any:
-        message = kind(first_sample=block.first_sample, sample_period=block.sample_period)
-        message.header.stamp = Time(nanoseconds=block.stamp).to_msg()
-        message.header.frame_id = self._frame_id
-        return message
 
     def _health(self) -> Health:
         if not self.active or self._foreign is None:

@@ -11,7 +11,6 @@ from typing import Any
 
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState, Resolver
 from drive_id_msgs.srv import Command, StartExperiment
-from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from std_msgs.msg import Bool, Empty
@@ -22,7 +21,8 @@ from drive_id.core.experiment.state_machine import ExperimentState, ReferenceBlo
 from drive_id.core.experiment.supervision import Answer, SupervisedExperiment
 from drive_id.core.experiment.watchdog import SIGNALS
 from drive_id.health import Health, Level
-from drive_id.nodes.support.diagnostics import HealthPublisher
+from drive_id.nodes.support.clocks import STEADY
+from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.experiment_messages import drive_status, reference_message, sample_block, state_message
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
@@ -70,9 +70,8 @@ class TrajectoryPublisher(ManagedNode):
         self._state_publisher = self.create_publisher(PublisherState, "~/state", LATCHED)
         self._heartbeats = self.create_subscription(Empty, "~/heartbeat", self._on_heartbeat, STREAM_BEST_EFFORT)
         on_change(self, ExperimentSettings, lambda _: None, self._on_settings)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._timer = self.create_timer(1.0 / settings.publish_rate, self._on_timer, clock=steady)
-        self._diagnostics = HealthPublisher(self, self._health)
+        self.create_timer(1.0 / settings.publish_rate, self._on_timer, clock=STEADY)
+        publish_health(self, self._health)
         self.bring_up(f"Ready: {self._experiment.plan()}")
         if not settings.watch:
             self.get_logger().warning("watch is false: current will flow whatever the drive does.")
@@ -215,12 +214,10 @@ class TrajectoryPublisher(ManagedNode):
         return self._replied("stop", response, self._experiment.stop(self._now()))  # inactive: nothing is running
 
     def _on_clear_fault(self, _: Any, response: Any) -> Any:
-        return self._replied("clear_fault", response, self._clear_fault())
-
-    def _clear_fault(self) -> Answer:
-        if not self.active:
-            return Answer("inactive", f"Not cleared. {self.inactive()}")
-        return self._experiment.clear_fault(self._now(), time.monotonic())
+        answer = Answer("inactive", f"Not cleared. {self.inactive()}")
+        if self.active:
+            answer = self._experiment.clear_fault(self._now(), time.monotonic())
+        return self._replied("clear_fault", response, answer)
 
     def _replied(self, request: str, response: Any, answer: Answer) -> Any:
         """Act on a request at once, and answer it."""

@@ -7,14 +7,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
-from rcl_interfaces.msg import ParameterType, ParameterValue
+from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.clock import Clock, ClockType
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -25,11 +23,12 @@ from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ExperimentError
 from drive_id.fitting.result import Identification, load
 from drive_id.nodes.support.arguments import ros_arguments
+from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.middleware import fast_dds
 from drive_id.nodes.support.replies import NAMES
+from drive_id.nodes.support.signal_messages import KINDS
 
 PUBLISHER, RECORDER, IDENTIFICATION = NODES = ("trajectory_publisher", "recorder", "identification")
-MEASURED = ("phase_currents", "phase_voltages", "resolver")
 PARAMETERS = {"get_parameters": GetParameters, "set_parameters_atomically": SetParametersAtomically}
 SERVICES = {
     f"{RECORDER}/start": StartRecording,
@@ -42,15 +41,18 @@ SERVICES = {
     f"{IDENTIFICATION}/identify": Identify,
     **{f"{node}/get_parameters": GetParameters for node in NODES},
 }
-_IDLE, _TRIPPED = "idle", "tripped"
+_IDLE = "idle"
+_TRIPPED = "tripped"
 _LATEST_START = 5.0
 """Time after the start within which the publisher reports a trajectory, s."""
 _STOPPING = 5.0
 """Longest wait for each node when a bench is brought to rest, s."""
 _HEARTBEAT = 0.2
 """Time between signs of life to the publisher, s: a tenth of the time after which it stops without them."""
-_SPIN, _TOLD = 0.05, 1.0
-"""Longest pause between looks at a condition, and time between reports of progress, s."""
+_SPIN = 0.05
+"""Longest pause between looks at a condition, s: short beside every step."""
+_TOLD = 1.0
+"""Time between reports of progress, s: nobody reads faster."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,8 @@ class Bench:
         self.timeout = timeout
         self._tell = tell
         self._begun = False
-        self._statuses: dict[str, DiagnosticStatus] = {}
+        self._statuses: dict[str, DiagnosticStatus] = {}  # by node, as is what follows
+        self._figures: dict[str, dict[str, str]] = {}
         self._states: list[str] = []
         self._context = Context()
         with fast_dds(), ros_arguments():
@@ -183,17 +186,14 @@ class Bench:
         kinds = SERVICES | of_drive
         self._services = {name: self._node.create_client(kind, name) for name, kind in kinds.items()}
         self._heartbeats = self._node.create_publisher(Empty, f"{PUBLISHER}/heartbeat", 1)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._node.create_timer(_HEARTBEAT, lambda: self._heartbeats.publish(Empty()), clock=steady)
+        self._node.create_timer(_HEARTBEAT, lambda: self._heartbeats.publish(Empty()), clock=STEADY)
         # After the clients: a node that is heard here knows of them, and its replies are not lost.
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
 
     def __enter__(self) -> Bench:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -251,8 +251,7 @@ class Bench:
         self._heartbeats.publish(Empty())  # long before the start, which may require it
         self._begun = True  # before there is an answer, which may come too late
         started = self._called(f"{RECORDER}/start", name=name)
-        if not started.success:  # the recorder may be busy for another client, who shall not be stopped
-            self._begun = False
+        self._begun = started.success  # else the recorder may be busy for another client, who shall not be stopped
         self._succeeded(f"{RECORDER}/start", started)
         self._required(f"{IDENTIFICATION}/reset")
         self._run_trajectory()
@@ -366,7 +365,7 @@ class Bench:
 
     def _check(self) -> None:
         """Compare parameters of the nodes, and count who publishes the drive's signals."""
-        for topic in MEASURED:
+        for topic in KINDS:
             count = self._node.count_publishers(topic)
             if count > 1:
                 raise ExperimentError(
@@ -394,10 +393,8 @@ class Bench:
 
     def _parameter(self, node: str, name: str) -> float:
         """Return a parameter of a node that is a number or true, 0 if it is neither."""
-        (value,) = self._values(node, [name])
-        if value.type == ParameterType.PARAMETER_DOUBLE:
-            return float(value.double_value)
-        return float(value.bool_value) if value.type == ParameterType.PARAMETER_BOOL else 0.0
+        (value,) = map(parameter_value_to_python, self._values(node, [name]))
+        return float(value) if isinstance(value, (bool, float)) else 0.0
 
     def _called(self, name: str, /, **fields: Any) -> Any:
         """Call a service and return its response, which itself tells of success."""
@@ -439,10 +436,8 @@ class Bench:
 
     def _value(self, node: str, key: str) -> float:
         """Return a number that a node reports, 0 if it reports none."""
-        status = self._statuses.get(node)
-        values = {entry.key: entry.value for entry in status.values} if status is not None else {}
         with contextlib.suppress(ValueError):
-            return float(values.get(key, ""))
+            return float(self._figures.get(node, {}).get(key, ""))
         return 0.0
 
     def _said(self, node: str) -> str:
@@ -454,5 +449,6 @@ class Bench:
             if node is None:
                 continue
             self._statuses[node] = status
+            self._figures[node] = {entry.key: entry.value for entry in status.values}
             if node == PUBLISHER:
-                self._states.append({entry.key: entry.value for entry in status.values}.get("state", ""))
+                self._states.append(self._figures[node].get("state", ""))

@@ -20,7 +20,7 @@ import shutil
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -125,21 +125,24 @@ def keep(results: Mapping[str, Identified], truth: GroundTruth | None, output: P
     """Write the table, rename the result folders to plain names, and print the statements of the fits."""
     with (output / "table.txt").open("w", encoding="utf-8") as file:
         Console(file=file, width=_WIDTH).print(comparison(results, truth))
-    stated: dict[str, list[str]] = {}
+    stated: dict[str, list[str]] = {}  # by title
     for title, result in results.items():
         folder = plain_folder(output, title)
         shutil.move(result.output, folder)
         document = json.loads((folder / "identification.json").read_text(encoding="utf-8"))
-        for sentence in document["statements"]:
-            stated.setdefault(sentence, []).append(title)
+        stated[title] = document["statements"]
         if len(results) == 1:
             load(folder).report(folder / "report.html")
     print_sentences("What the fits state:", stated)
     say(f"Results: {', '.join(str(plain_folder(output, title)) for title in results)}")
 
 
-def print_sentences(heading: str, titles: Mapping[str, list[str]]) -> None:
-    """Print sentences, each with the titles of the results that contain it."""
+def print_sentences(heading: str, found: Mapping[str, Iterable[str]]) -> None:
+    """Print the sentences of results by title: each sentence once, with the titles of the results that hold it."""
+    titles: dict[str, list[str]] = {}
+    for title, sentences in found.items():
+        for sentence in sentences:
+            titles.setdefault(sentence, []).append(title)
     if titles:
         say(heading)
     for sentence, where in titles.items():
@@ -178,11 +181,7 @@ def characterize(bench: Bench, options: argparse.Namespace) -> int:
         results[title] = bench.identify(bags, method or options.method, signals, **names)
         say(f"   {title}: {time.monotonic() - begin:.1f} s")
     Console(width=_WIDTH).print(comparison(results, truth))
-    warned: dict[str, list[str]] = {}
-    for title, result in results.items():
-        for warning in result.report.warnings:
-            warned.setdefault(warning, []).append(title)
-    print_sentences("Warnings:", warned)
+    print_sentences("Warnings:", {title: result.report.warnings for title, result in results.items()})
     if options.output:
         keep(results, truth, options.output)
     else:

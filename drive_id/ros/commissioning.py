@@ -11,16 +11,16 @@ from typing import Any
 
 from drive_id_msgs.action import FirstStart as FirstStartGoal
 from drive_id_msgs.srv import FirstStart
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from drive_id.errors import DriveIdError, OutputError
 from drive_id.live.data_directory import new_recording
 from drive_id.live.identification.identifier import Job, Reply, failed
-from drive_id.live.identification.requests import Request, Requests
-from drive_id.nodes.support.deferred_service import DeferredService, LaterResponse, PacedServices, in_executor
+from drive_id.live.identification.requests import Requests
+from drive_id.nodes.support.clocks import STEADY
+from drive_id.nodes.support.deferred_service import PacedServices, in_executor
 from drive_id.nodes.support.parameters import declare_settings
-from drive_id.nodes.support.request_action import RequestAction
+from drive_id.nodes.support.request_server import RequestServer
 from drive_id.nodes.support.runtime import run
 from drive_id.ros.bench import Bench
 from drive_id.ros.bench import Progress as Step
@@ -67,22 +67,14 @@ class Commissioning(Node):
         fields = CommissioningSettings.__dataclass_fields__
         self._settings = declare_settings(self, CommissioningSettings, read_only=fields)
         self._requests = Requests(0.0, partial(in_executor, self))
-        self._service = DeferredService(PacedServices(self), FirstStart, "~/first_start", self._on_request)
-        self._action = RequestAction(self, FirstStartGoal, "~/first_start", self._requests, self._job, self._said)
-        self._timer = self.create_timer(_REQUEST_PERIOD, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        services, name = PacedServices(self), "~/first_start"
+        server = RequestServer(self, services, FirstStart, FirstStartGoal, name, self._requests, self._job, self._said)
+        self.create_timer(_REQUEST_PERIOD, server.look, clock=STEADY)
         self.get_logger().info(f"Ready: the files go to {self._settings.output_directory}.")
 
     def close(self) -> None:
         """Bring a first start under way to rest."""
         self._requests.stop(_PATIENCE)
-
-    def _look(self) -> None:
-        self._requests.look()
-        self._action.look()
-
-    def _on_request(self, request: FirstStart.Request, answer: LaterResponse) -> None:
-        made = Request(partial(self._job, request), lambda reply: answer(self._said(FirstStart.Response(), reply)))
-        self._requests.submit(made, may_wait=False)
 
     def _job(self, request: Any) -> Job:
         folder = _new_folder(Path(self._settings.output_directory), request.name)

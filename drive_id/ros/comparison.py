@@ -23,9 +23,10 @@ def comparison(results: Mapping[str, Identified], truth: GroundTruth | None) -> 
         table.add_column(title, justify="right", no_wrap=True)
     maps, reports = [r.flux_map for r in results.values()], [r.report for r in results.values()]
     drop = "" if truth is None else measured(float(truth.inverter_voltage[-1]), unit="V")
+    resistances = [measured(m.resistance, m.sigma_resistance, "Ω") for m in maps]
     rows = [
-        ("R", [_resistance(m) for m in maps], truth and measured(truth.resistance, unit="Ω")),
-        ("Inverter drop", [_drop(m) if len(m.inverter_current) else "not modelled" for m in maps], drop),
+        ("R", resistances, truth and measured(truth.resistance, unit="Ω")),
+        ("Inverter drop", [_drop(m) for m in maps], drop),
         ("MAD of i_d / i_q", [f"{r.mad_d:.3g} / {r.mad_q:.3g} A" for r in reports], ""),
         ("Disc covered", [f"{100 * r.coverage:.1f} %" for r in reports], ""),
         ("Samples used", [f"{r.samples_used} of {r.samples_read}" for r in reports], ""),
@@ -42,11 +43,9 @@ def comparison(results: Mapping[str, Identified], truth: GroundTruth | None) -> 
     return table
 
 
-def _resistance(flux_map: FluxMap) -> str:
-    return measured(flux_map.resistance, flux_map.sigma_resistance, "Ω")
-
-
 def _drop(flux_map: FluxMap) -> str:
+    if not len(flux_map.inverter_current):
+        return "not modelled"
     return measured(flux_map.voltage_error, flux_map.sigma_voltage_error, "V")
 
 

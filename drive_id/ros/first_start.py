@@ -18,7 +18,9 @@ from drive_id.errors import ExperimentError
 from drive_id.fitting.sources import read_bag
 from drive_id.ros.bench import Bench
 
-SIGNALS, PARAMETERS, DRIVE = "signals.yaml", "trajectory_publisher.yaml", "drive.yaml"
+SIGNALS = "signals.yaml"
+PARAMETERS = "trajectory_publisher.yaml"
+DRIVE = "drive.yaml"
 _SHAKE_FREQUENCY = 25.0
 """Hz: slow enough for the current controllers, so fast that the shaft turns by a part of a revolution only."""
 _SHAKE_TIME = 1.0  # s
@@ -26,11 +28,13 @@ _SHAKES = (0.2, 0.8)
 """Amplitudes of the shakes by i_max, the smaller one first: it tells how far the other one may go; the larger one
 leaves room for the overshoot of a controller that does not know the machine."""
 _SLEW_MARGIN = 1.05
+"""Slew rate of the publisher by the steepest slope of the trajectory, which it must not cut."""
 _NOTABLE = 0.9
 """Amplitude relative to i_max below which a result says so."""
-_SALIENT, _SALIENT_SWING = 2.0, 10.0
-"""Largest torque relative to that at the frequency of i_q from which on reluctance prevails; and the fastest swing
-then, Hz: 8 % of the bandwidth of a usual current controller. Faster ones have exceeded 1.2 i_max."""
+_SALIENT = 2.0
+"""Largest torque relative to that at the frequency of i_q from which on reluctance prevails."""
+_SALIENT_SWING = 10.0
+"""Fastest swing then, Hz: 8 % of the bandwidth of a usual current controller. Faster ones have exceeded 1.2 i_max."""
 _LARGEST_REST = math.radians(3.0)
 """Offset that may be left when the drive has taken what was found: more than two first starts ever differ by."""
 _LARGEST_TURN = math.radians(10.0)
@@ -64,9 +68,7 @@ class Commissioned:
 
     def sentence(self) -> str:
         """Return the result as one sentence."""
-        written = ""
-        if self.encoder is not None:
-            written = f"The drive took {self.encoder.sentence()}. "
+        written = "" if self.encoder is None else f"The drive took {self.encoder.sentence()}. "
         reduced = ""
         if self.amplitude < _NOTABLE:
             reduced = (

@@ -40,7 +40,7 @@ from drive_id.web.page import archive_page, rendered
 LOOPBACK = ("127.0.0.1", "localhost")
 SHOWN = ("report.html", "report.pdf", "flux_map.png", "diagnostics.png", "identification.json")
 """Files of a result folder that are served; nothing else of the disk is."""
-_MOST_POINTS = 20_000
+_MOST_POINTS = 20_000  # operating points that a page holds: 400 s at the usual rate of 50 Hz
 _RESTART = 2.0  # s between the end of the feed and its next start
 _LONGEST_LINE = 1 << 22  # bytes
 _HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}

@@ -57,7 +57,7 @@ def leaves(tree):
 
 
 def test_foxglove():
-    from drive_id.nodes.support.displays import FIELDS
+    from drive_id.nodes.support.replies import FIELDS
 
     layout = json.loads((CONFIG / "foxglove_layout.json").read_text())
     panels = layout["configById"]

@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from ros_bench import DEADLINE, require_ros, ros_bench
 
+from drive_id.files.messages.block_codec import read_head
+
 
 @pytest.fixture
 def ros():
@@ -15,6 +17,10 @@ def ros():
 @pytest.fixture(autouse=True, scope="module")
 def _ros_or_skip():
     require_ros()
+
+
+def number_of(data):
+    return read_head(data).first_sample
 
 
 def publish(publisher, numbers):
@@ -34,7 +40,7 @@ def test_drain_takes_everything_that_has_arrived(ros):
     from drive_id.nodes.support.qos import STREAM
 
     got = []
-    subscription = MatchedSubscription(ros.node, Resolver, "resolver", lambda message: got.append(message.first_sample))
+    subscription = MatchedSubscription(ros.node, Resolver, "resolver", lambda data: got.append(number_of(data)))
     publisher = ros.node.create_publisher(Resolver, "resolver", STREAM)
     ros.wait(publisher.get_subscription_count, "the subscription")
     subscription.drain()
@@ -55,9 +61,7 @@ def test_nothing_is_lost_when_it_is_made_anew(ros):
     from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT
 
     got = []
-    subscription = MatchedSubscription(
-        ros.node, Resolver, "resolver", lambda data: got.append(bytes(data)), depth=1000, raw=True
-    )
+    subscription = MatchedSubscription(ros.node, Resolver, "resolver", got.append)
     publisher = ros.node.create_publisher(Resolver, "resolver", STREAM)
     ros.wait(publisher.get_subscription_count, "the subscription")
     publish(publisher, range(300))
@@ -79,7 +83,7 @@ def test_an_events_executor_survives_that_it_is_made_anew(ros):
     from rclpy.task import Future
 
     got, rounds, over = [], [], Future()
-    subscription = MatchedSubscription(ros.node, Resolver, "resolver", lambda message: got.append(message.first_sample))
+    subscription = MatchedSubscription(ros.node, Resolver, "resolver", lambda data: got.append(number_of(data)))
     publisher = ros.node.create_publisher(Resolver, "resolver", STREAM)
     ros.wait(publisher.get_subscription_count, "the subscription")
 

@@ -51,7 +51,7 @@ def test_overrides_show_that_an_empty_array_was_given(ros):
 
 
 def test_a_service_asks_itself_for_callback_and_send_response(ros):
-    """DeferredService replaces send_response of one service, guard_transitions the callback."""
+    """deferred_service replaces send_response of one service, guard_transitions the callback."""
     from std_srvs.srv import Trigger
 
     service = ros.node.create_service(Trigger, "asked", lambda _, response: response)

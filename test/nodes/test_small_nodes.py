@@ -101,7 +101,7 @@ def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
     ros.node.destroy_subscription(subscription)
     assert process.interrupt()[0] == 0, process.output
     assert bench.interrupt()[0] == 0, bench.output
-    spent = dict(re.findall(r"^spent: \w+\.(\w+) (.*)$", process.output, re.MULTILINE))
+    spent = dict(re.findall(r"^spent: \S+\.(\w+) (.*)$", process.output, re.MULTILINE))
     assert {"_on_timer", "_on_currents", "_on_resolver", "publish"} <= set(spent)
     for callback, figures in spent.items():
         calls, usual, longest = map(float, figures.split())

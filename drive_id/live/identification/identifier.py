@@ -123,8 +123,7 @@ class Identifier:
         self._scalar_topics = dict(scalar_topics or {name: name for name in SCALARS})
         self.live = LiveEvidence(fit, topics)
         self.refits = Refits(settings)
-        self._streams = self._new_streams()
-        self._scalar_streams = self._new_scalar_streams()
+        self._begin()
         self._unreadable = 0
         self._last_error = ""
         self._forgotten = ""  # a sentence on why
@@ -159,17 +158,22 @@ class Identifier:
         """Take other settings, and tell whether the live samples had to be forgotten."""
         forgotten = self.live.configure(fit)
         if forgotten:
-            self.refits.forget()
-            self._streams, self._scalar_streams = self._new_streams(), self._new_scalar_streams()
+            self._begin()
             self._forgotten = "The live samples before were forgotten, because the settings of the fit have changed."
         return forgotten
 
     def reset(self) -> None:
         """Forget the live samples."""
         self.live.reset()
-        self.refits.forget()
-        self._streams, self._scalar_streams = self._new_streams(), self._new_scalar_streams()
+        self._begin()
         self._unreadable, self._last_error, self._forgotten = 0, "", ""
+
+    def _begin(self) -> None:
+        """Forget the last fit, and count anew what arrives."""
+        self.refits.forget()
+        self._streams = tuple(BlockStream(topic, kind) for topic, kind in zip(self.topics, TYPES, strict=True))
+        scalars = self._scalar_topics.items()
+        self._scalar_streams = {name: BlockStream(topic, SCALAR_SAMPLES) for name, topic in scalars}
 
     def job(
         self, bags: Sequence[str], method: str, signals: str = "", names: Mapping[str, str] = MappingProxyType({})
@@ -198,14 +202,14 @@ class Identifier:
         if bags:
             own = read_signals(Path(signals).expanduser()) if signals else self._signals()
             work = partial(_fit_bags, tuple(bags), own, bool(signals), named, self.settings)
-            return partial(_guarded, partial(_kept, self.folders, work))
+            return partial(_guarded, self.folders, work)
         if signals:
             raise ConfigurationError("The request names a signals file, but no bags: it is for bags only.")
         snapshot = self.live.snapshot(method)
         samples = moving(snapshot.gathered.evidence) + sum(len(piece.samples) for piece in snapshot.rest)
         earlier = self.refits.earlier(fit, samples)
         work = partial(_fit_live, snapshot, earlier, named, self.settings, self._forgotten)
-        return partial(_guarded, partial(_kept, self.folders, work))
+        return partial(_guarded, self.folders, work)
 
     def refit(self) -> RefitJob | None:
         """Return a fit of the live samples in the background if one is due, see :class:`Refits`."""
@@ -268,12 +272,6 @@ class Identifier:
         findings.append((Level.OK, self._forgotten or f"{report.samples} live samples."))
         return Health.of(doing, findings, values)
 
-    def _new_streams(self) -> tuple[BlockStream, ...]:
-        return tuple(BlockStream(topic, kind) for topic, kind in zip(self.topics, TYPES, strict=True))
-
-    def _new_scalar_streams(self) -> dict[str, BlockStream]:
-        return {name: BlockStream(topic, SCALAR_SAMPLES) for name, topic in self._scalar_topics.items()}
-
     def _signals(self) -> SignalMap:
         """Return where the signals are in a bag that was recorded beside this drive, under whatever names."""
         usual = SignalMap()
@@ -299,9 +297,10 @@ def failed(error: DriveIdError, samples: JoinReport | None = None) -> Reply:
     return Reply(error.code, str(error), samples=samples)
 
 
-def _guarded(work: Job, tell: Progress) -> Reply:
+def _guarded(folders: ResultFolders, work: Job, tell: Progress) -> Reply:
+    """Do the work and remember its result; every error becomes a reply."""
     try:
-        return work(tell)
+        return _kept(folders, work, tell)
     except DriveIdError as error:
         return failed(error)
     except Exception as error:  # noqa: BLE001  # a mistake of ours must not take the node down
@@ -310,7 +309,7 @@ def _guarded(work: Job, tell: Progress) -> Reply:
 
 
 def _kept(folders: ResultFolders, work: Job, tell: Progress) -> Reply:
-    """Do the work and remember its result; if it was cancelled meanwhile, the result goes."""
+    """Do the work and remember its result, which goes if it was cancelled meanwhile."""
     reply = work(tell)
     try:
         tell("Writing", 1.0)
@@ -368,7 +367,7 @@ def _fit_live(
     try:
         refit = of_snapshot(snapshot, earlier)
     except DriveIdError as error:
-        return replace(failed(error, snapshot.report), message=" ".join(filter(None, [str(error), forgotten])))
+        return replace(failed(error, snapshot.join.report()), message=" ".join(filter(None, [str(error), forgotten])))
     evidence = snapshot.gathered.evidence
     result = completed(
         refit.drive,
@@ -376,11 +375,11 @@ def _fit_live(
         excerpts=snapshot.validation(),
         duration=evidence.samples * evidence.sample_period,
         last_stamp=snapshot.join.last_stamp or 0,
-        warnings=snapshot.report.warnings,
+        warnings=snapshot.join.report().warnings,
     )
     tell("Writing", None)
     replace(result, evidence=evidence).save(output, draw=settings.picture)
-    return replace(_reply(result, output, snapshot.report), refit=refit)
+    return replace(_reply(result, output, snapshot.join.report()), refit=refit)
 
 
 def _sentence(identification: IdentifiedDrive) -> str:

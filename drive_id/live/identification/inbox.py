@@ -6,7 +6,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from drive_id.health import Level, Observation
 from drive_id.messages import Message
 
 MOST_MESSAGES = 5000
@@ -74,10 +73,6 @@ class Inbox:
     def warnings(self) -> list[Message]:
         """Return what was dropped."""
         return [Message("messages_dropped", messages=self.dropped)] if self.dropped else []
-
-    def findings(self) -> list[Observation]:
-        """Return the same for the health of the node."""
-        return [(Level.WARN, warning) for warning in self.warnings()]
 
     def reset(self) -> None:
         """Forget all messages, and how many were dropped."""

@@ -10,7 +10,6 @@ from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion, concluded
 from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin
-from drive_id.core.signals.join_report import JoinReport
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError
 from drive_id.types import Samples
@@ -23,12 +22,8 @@ _WAIT = 0.2
 class LiveSums:
     """What is kept of joined samples.
 
-    Parameters
-    ----------
-    excerpt : Spans
-        Of the trajectory, for the MAD; rests are left out of it, for at rest every map looks good.
-    resting : bool
-        The last piece was left out of the excerpt.
+    The excerpt of the trajectory, for the MAD, is without rests, for at rest every map looks good; ``resting`` says
+    that the last piece was left out of it.
     """
 
     evidence: Evidence
@@ -52,24 +47,11 @@ class LiveSums:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """Everything that had arrived at one moment; the stream goes on without it.
-
-    Parameters
-    ----------
-    join : StreamJoin
-        Finished.
-    rest : tuple of Piece
-        Of the join, not yet gathered.
-    """
+    """Everything that had arrived at one moment; the stream goes on without it. The rest is not yet gathered."""
 
     join: StreamJoin
     gathered: LiveSums
     rest: tuple[Piece, ...]
-
-    @property
-    def report(self) -> JoinReport:
-        """What became of the signals."""
-        return self.join.report()
 
     def validation(self) -> tuple[Samples, ...]:
         """Return the excerpt of the trajectory, to be simulated for the MAD and to be drawn."""

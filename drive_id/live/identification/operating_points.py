@@ -31,13 +31,7 @@ class Point:
 
 
 class PointDecimator:
-    """Decimates currents and resolver. Not for several threads.
-
-    Parameters
-    ----------
-    rate : float
-        Largest number of points per second of the samples' time, Hz; 0: none.
-    """
+    """Decimates currents and resolver to at most ``rate`` points per second of their time. Not for several threads."""
 
     def __init__(self, rate: float) -> None:
         self._spacing = math.inf if rate <= 0 else NANOSECONDS / rate

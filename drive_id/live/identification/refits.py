@@ -73,17 +73,13 @@ RefitJob = Callable[[Progress], Refit | None]
 
 
 class Refits:
-    """Schedules background fits of the live samples and keeps the last one; jobs run in other threads, one at a time.
-
-    Parameters
-    ----------
-    clock : callable
-        Returns the time, s.
-    """
+    """Schedules background fits of live samples and keeps the last one; jobs run in other threads, one at a time."""
 
     def __init__(self, settings: IdentificationSettings, clock: Callable[[], float] = time.monotonic) -> None:
         self._share = settings.refit_share
         self._period = settings.provisional_map_period
+        self.publishes = self._period > 0
+        """Whether provisional maps are published."""
         self._clock = clock
         self.due = -np.inf
         """Earliest time of the next fit, s."""
@@ -111,7 +107,7 @@ class Refits:
             return None
         earlier = self.earlier(live.settings, samples)
         if earlier is not None and self._selected and samples <= _RENEWED_GROWTH * self._selected.samples:
-            if self._period <= 0 or now < self._provisional_due:
+            if not self.publishes or now < self._provisional_due:
                 return None
         else:
             earlier = None
@@ -141,11 +137,6 @@ class Refits:
         self._latest = refit
         if refit.selected:
             self._selected = refit
-
-    @property
-    def publishes(self) -> bool:
-        """Whether provisional maps are published."""
-        return self._period > 0
 
     def values(self) -> dict[str, str]:
         """Return the results of the last fit, for diagnostics."""

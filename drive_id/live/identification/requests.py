@@ -22,20 +22,11 @@ _STAGES: Final = {
     "Turning": (0.0, 0.8), "Shaking": (0.8, 1.0),  # a first start
 }  # fmt: skip
 _USUAL_STEPS = 60.0  # of a solution by method full
-WAITING = "Waiting"
 
 
 @dataclass(frozen=True)
 class Stage:
-    """How far a request is.
-
-    Parameters
-    ----------
-    name : str
-        Waiting, Reading, Accumulating, Solving or Writing.
-    share : float
-        Estimated share of the whole request that is done, 0 to 1.
-    """
+    """How far a request is: a word, the estimated share of the whole that is done, 0 to 1, and both in a sentence."""
 
     name: str
     share: float
@@ -125,13 +116,7 @@ class Requests:
         return f"{what or self._running.stage.name}." if share is None else f"{what}, {100 * share:.0f} %."
 
     def submit(self, request: Request, *, may_wait: bool) -> None:
-        """Begin a request, let it wait, or refuse it by :data:`~drive_id.live.identification.identifier.BUSY`.
-
-        Parameters
-        ----------
-        may_wait : bool
-            It may wait for the one under way if no other one does.
-        """
+        """Begin a request, or refuse it as busy; ``may_wait``: let it wait for the one under way if no other does."""
         self._forget_ended()
         if not self.busy and len(self._abandoned) < MOST_ABANDONED:
             self._begin(request)
@@ -140,16 +125,13 @@ class Requests:
         else:
             request.finish(BUSY)
 
-    def cancel(self, request: Request, reply: Reply) -> bool:
-        """End a request with a reply, and tell whether there was such a request."""
+    def cancel(self, request: Request, reply: Reply) -> None:
+        """End a request with a reply, if it is not over."""
         if request is self._waiting:
             self._waiting = None
             request.finish(reply)
-            return True
-        if self._running is not None and request is self._running.request:
+        elif self._running is not None and request is self._running.request:
             self._running.end(reply, time.monotonic())
-            return True
-        return False
 
     def look(self) -> None:
         """End what was cancelled or takes too long, and tell how far the request is; call it ten times a second."""
@@ -213,7 +195,7 @@ class Requests:
         waiting = self._waiting
         if waiting is not None and waiting.tell is not None and now - self._waiting_told > _PERIOD:
             self._waiting_told = now
-            waiting.tell(Stage(WAITING, 0.0, "Waiting for the request under way."))
+            waiting.tell(Stage("Waiting", 0.0, "Waiting for the request under way."))
 
     def _forget_ended(self) -> None:
         self._abandoned = [worker for worker in self._abandoned if worker.busy]

@@ -14,6 +14,7 @@ from drive_id.errors import DriveIdError
 from drive_id.files.results.folder import is_result, replace_file
 from drive_id.fitting.result import Identification, load
 from drive_id.health import Level, Observation
+from drive_id.live.data_directory import free_path
 from drive_id.live.identification.identification_settings import IdentificationSettings
 
 _FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_(psm|joint|full)(_\d+)?", re.ASCII)
@@ -23,13 +24,7 @@ _LONGEST_NOTE = 10_000  # bytes
 
 @dataclass(frozen=True, eq=False)
 class LastMap:
-    """The last result of a node.
-
-    Parameters
-    ----------
-    stamp : int
-        Of the last sample, ns.
-    """
+    """The last result of a node, its folder, and the stamp of its last sample, ns."""
 
     result: Identification
     folder: Path
@@ -37,13 +32,7 @@ class LastMap:
 
 
 class ResultFolders:
-    """Folders that a node makes for its results, all in one, which nodes of other drives may share.
-
-    Parameters
-    ----------
-    node : str
-        Full name of the node.
-    """
+    """Folders that a node, by its full name, makes for its results, all in one, which nodes of others may share."""
 
     def __init__(self, settings: IdentificationSettings, node: str) -> None:
         self._settings = settings
@@ -102,13 +91,7 @@ class ResultFolders:
 def new_folder(settings: IdentificationSettings, method: str) -> Path:
     """Return the path of a folder that is not there yet, named after time and method."""
     base = Path(settings.output_directory).expanduser().absolute()
-    stem = datetime.now().astimezone().strftime(f"%Y-%m-%d_%H-%M-%S_{method}")
-    number = 1
-    path = base / stem
-    while path.exists() or path.is_symlink():
-        number += 1
-        path = base / f"{stem}_{number}"
-    return path
+    return free_path(base, datetime.now().astimezone().strftime(f"%Y-%m-%d_%H-%M-%S_{method}"))
 
 
 def _age(path: Path) -> tuple[float, str]:

@@ -14,8 +14,8 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.signals.signal import Signal
 from drive_id.live.identification.live_evidence import LiveEvidence
 
-_COUNT = 2000
-_PERIOD = 1e-3
+_COUNT = 2000  # samples: two seconds of them
+_PERIOD = 1e-3  # s
 _SPEED = 60.0  # rad/s
 _INDUCTANCE = 0.01  # H
 _MAGNET = 0.1  # Wb

@@ -5,21 +5,14 @@ from __future__ import annotations
 from drive_id.health import Level, Observation
 from drive_id.types import NANOSECONDS
 
-STANDSTILL = 2.0
+_STANDSTILL = 2.0
 """Time without an advance after which a clock stands still, s; simulations advance it several times a second."""
 
 
 class ClockWatch:
-    """Compares the clock of the log times with a steady one; call :meth:`look` several times a second.
+    """Compares the clock of the log times with a steady one; call :meth:`look` several times a second."""
 
-    Parameters
-    ----------
-    standstill : float
-        Time without an advance after which the clock stands still, s.
-    """
-
-    def __init__(self, standstill: float = STANDSTILL) -> None:
-        self._standstill = standstill
+    def __init__(self) -> None:
         self._time: int | None = None  # of the clock, ns
         self._advanced = self._looked = self._begun = 0.0  # of the steady clock, s
         self._past = 0.0  # s of standstills that are over
@@ -43,7 +36,7 @@ class ClockWatch:
     def standing(self) -> float:
         """Time for which the clock has been standing still, s; 0 while it runs."""
         gap = self._looked - max(self._advanced, self._begun)
-        return gap if self._time is not None and gap > self._standstill else 0.0
+        return gap if self._time is not None and gap > _STANDSTILL else 0.0
 
     def findings(self) -> list[Observation]:
         """Return that the clock stands still."""

@@ -8,6 +8,10 @@ from dataclasses import dataclass
 from drive_id.health import Health, Level, Observation
 from drive_id.live.publishers import Publisher, of_type, publisher_findings, uncounted
 from drive_id.live.recording.recording_report import RecordingReport, TopicReport
+from drive_id.live.recording.recording_settings import RecordingSettings
+
+_SCARCE = 10.0
+"""Multiple of least_free_space below which to warn of the disk."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +38,8 @@ class TopicState:
 def recorder_health(
     report: RecordingReport | None,
     topics: Sequence[TopicState],
-    longest_silence: float,
-    queue_size: float,
+    settings: RecordingSettings,
     further: Sequence[Observation] = (),
-    scarce: float = 0.0,
 ) -> Health:
     """Return the diagnostics of the recorder.
 
@@ -47,21 +49,15 @@ def recorder_health(
         Of the current recording, which may have ended by an error; None when there is none.
     topics : sequence of TopicState
         Those of the report; optional ones may be missing there.
-    longest_silence : float
-        Longest time without a message before a warning, s; 0: no such warning.
-    queue_size : float
-        Capacity of the queue, MB.
     further : sequence of Observation
         Of the node.
-    scarce : float
-        Free space of the disk below which to warn, MB.
     """
     findings = [] if report is not None and report.error else list(further)
     values: dict[str, str] = {}
     if report is not None:
-        findings += _recording_findings(report, queue_size)
+        findings += _recording_findings(report, settings.queue_size)
         values |= _recording_values(report)
-        if report.free is not None and not report.error and report.free < 1e6 * scarce:
+        if report.free is not None and not report.error and report.free < _SCARCE * 1e6 * settings.least_free_space:
             findings.append((Level.WARN, f"The disk of {report.path} has only {report.free / 1e6:.0f} MB left."))
     reports = {} if report is None else {topic.topic: topic for topic in report.topics}
     for state in topics:
@@ -70,7 +66,7 @@ def recorder_health(
         found = publisher_findings(state.topic, state.type_name, state.publishers)
         findings += [(min(level, Level.WARN), said) for level, said in found] if state.optional else found
         if report is not None and not report.error and state.topic in reports:
-            findings += _sample_findings(state, reports[state.topic], longest_silence)
+            findings += _sample_findings(state, reports[state.topic], settings.silence)
         values |= _topic_values(state, reports.get(state.topic))
     doing = "Not recording." if report is None else f"Recording {report.path}."
     return Health.of("" if report is not None and report.error else doing, findings, values)

@@ -13,15 +13,7 @@ _LONGEST = 10_000  # bytes
 
 
 class RecordingNote:
-    """The note of one recorder, beside its recordings.
-
-    Parameters
-    ----------
-    directory : str
-        The data directory.
-    node : str
-        Full name of the recorder.
-    """
+    """The note of one recorder, by its full name, beside its recordings in the data directory."""
 
     def __init__(self, directory: str, node: str) -> None:
         self._file = Path(directory).expanduser().absolute() / f".recording{node.replace('/', '.')}.json"

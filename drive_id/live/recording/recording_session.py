@@ -7,7 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -131,11 +131,14 @@ class RecordingSession:
         self._before = self._snapshot()
         self._file_begin: int | None = None
         self._split_due = False
-        self._error = ""
+        self.error = ""
+        """Why the recording ended before it was stopped; empty if it did not."""
         self._free: int | None = None
         self.remark = ""
         """A sentence on the log times for report and metadata, by the receiving thread."""
-        self._open, self._failed, self._paused = True, False, False
+        self.paused = False
+        """Whether messages are left out at present."""
+        self._open, self._failed = True, False
         self._stopping = threading.Event()
         self._writer = Rosbag2McapWriter(
             path,
@@ -146,9 +149,8 @@ class RecordingSession:
             opener=opener,
         )
         self._place = self._found()
-        self._optional = {topic.name for topic in topics if topic.optional}
-        self._others = {topic.name for topic in topics if not topic.blocks}
-        self._absent = {topic.name: topic for topic in topics if topic.optional}  # not in the bag yet
+        self._topics = {topic.name: topic for topic in topics}
+        self._absent = {topic.name for topic in topics if topic.optional}  # not in the bag yet
         for topic in topics:
             if not topic.optional:
                 self._writer.add_topic(topic.name, topic.type_name, qos=topic.qos)
@@ -160,24 +162,17 @@ class RecordingSession:
         if topic.name in self._received:
             return
         self._written[topic.name], self._before[topic.name] = _Written(), _Written()
-        self._absent[topic.name] = topic
-        self._optional.add(topic.name)
-        if not topic.blocks:
-            self._others.add(topic.name)
+        self._topics[topic.name] = topic
+        self._absent.add(topic.name)
         self._received[topic.name] = _Received()
-
-    @property
-    def paused(self) -> bool:
-        """Whether messages are left out at present."""
-        return self._paused
 
     def pause(self) -> None:
         """Leave out what comes until :meth:`resume`, without counting it as lost."""
-        self._paused = True
+        self.paused = True
 
     def resume(self) -> None:
         """Record again."""
-        self._paused = False
+        self.paused = False
         for received in self._received.values():
             received.count.interrupt()
 
@@ -185,11 +180,6 @@ class RecordingSession:
         """Continue in a new file, behind all that was received."""
         if self._open:
             self._queue.append(_SPLIT)
-
-    @property
-    def error(self) -> str:
-        """Why the recording ended before it was stopped; empty if it did not."""
-        return self._error
 
     def receive(self, topic: str, data: bytes, log_time: int) -> None:
         """Count a message and enqueue it; to be called by one thread.
@@ -201,13 +191,13 @@ class RecordingSession:
         log_time : int
             When it was received, ns.
         """
-        if not self._open or self._paused:
+        if not self._open or self.paused:
             return
         received = self._received[topic]
         head = self._head(topic, data, log_time)
         if head is None:
             received.unreadable += 1
-        elif topic in self._others:
+        elif not self._topics[topic].blocks:
             received.count.samples += 1
             received.count.blocks += 1
         else:
@@ -242,7 +232,7 @@ class RecordingSession:
         topics = []
         for name, received in list(self._received.items()):
             count, written = received.count, self._written[name]
-            if name in self._optional and not (count.blocks or received.unreadable):
+            if self._topics[name].optional and not (count.blocks or received.unreadable):
                 continue
             discarded = count.samples - written.samples - received.overflowed if self._failed else 0
             topics.append(
@@ -255,7 +245,7 @@ class RecordingSession:
         files = self._writer.files
         waiting = self._bytes_in - self._bytes_out
         return RecordingReport(
-            self.path, tuple(topics), len(files), self._writer.size, waiting, self._error, self.remark, self._free
+            self.path, tuple(topics), len(files), self._writer.size, waiting, self.error, self.remark, self._free
         )
 
     # -- the writing thread ----------------------------------------------------------------------------------------
@@ -298,7 +288,7 @@ class RecordingSession:
         self._free = free_space(self.path)
         short = shortage(self._free, self._settings, self.path)
         if short:
-            self._error = f"{short} The recording has ended, and is complete up to then."
+            self.error = f"{short} The recording has ended, and is complete up to then."
         return bool(short)
 
     def _write(self, message: _Waiting) -> None:
@@ -314,7 +304,8 @@ class RecordingSession:
             self._before = self._snapshot()
         self._split_due = False
         if message.topic in self._absent:
-            topic = self._absent.pop(message.topic)
+            self._absent.remove(message.topic)
+            topic = self._topics[message.topic]
             self._writer.add_topic(
                 topic.name, topic.type_name, qos=topic.qos, definition=topic.definition, hash_=topic.hash_
             )
@@ -324,7 +315,12 @@ class RecordingSession:
 
     def _head(self, topic: str, data: bytes | memoryview, log_time: int) -> BlockHead | None:
         """Return the head of a message; None if it should be a block and is not."""
-        return BlockHead(log_time, 0, 0.0, 1) if topic in self._others else _head(data)
+        if not self._topics[topic].blocks:
+            return BlockHead(log_time, 0, 0.0, 1)
+        try:
+            return read_head(data)
+        except ValueError:
+            return None
 
     def _snapshot(self) -> dict[str, _Written]:
         return {name: replace(written) for name, written in list(self._written.items())}
@@ -355,7 +351,7 @@ class RecordingSession:
             self._writer.end_early()  # for a folder that was only renamed
         self._written = {name: _Written() for name in self._written}
         self._failed = True
-        self._error = (
+        self.error = (
             f"{self.path} was removed or renamed while it was being recorded, so the recording has ended: if the "
             "folder is elsewhere, complete it with 'drive-id recover'."
         )
@@ -376,18 +372,15 @@ class RecordingSession:
             with suppress(DriveIdError):
                 self._count_written()
         self._failed = True
-        self._error = f"{reason} The recording has ended; {advice}"
+        self.error = f"{reason} The recording has ended; {advice}"
 
     def _count_written(self) -> None:
         """Count the messages in the last file again: some of those handed to the writer never reached the disk."""
         written = self._before
         file = self._writer.files[-1]
-        storage = McapStorage(file, file)
-        try:
+        with closing(McapStorage(file, file)) as storage:
             for message in storage.messages(frozenset(written)):
                 written[message.topic].add(self._head(message.topic, message.data, message.log_time))
-        finally:
-            storage.close()
         self._written = written
 
 
@@ -408,10 +401,3 @@ def shortage(free: int | None, settings: RecordingSettings, path: Path) -> str:
         f"The disk of {path} has {free / 1e6:.0f} MB left, less than least_free_space "
         f"({settings.least_free_space:g} MB): free some space, or lower it."
     )
-
-
-def _head(data: bytes | memoryview) -> BlockHead | None:
-    try:
-        return read_head(data)
-    except ValueError:
-        return None

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.service import Service
 
+from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.qos import SERVICE
 
 _BURST = 5
@@ -48,7 +48,7 @@ class PacedServices:
         self._node = node
         self._waiting: deque[tuple[float, Callable[[], None]]] = deque()
         self._free = _BURST
-        self._timer = node.create_timer(_PAUSE, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(_PAUSE, self._on_timer, clock=STEADY)
 
     def create(self, kind: Any, name: str, callback: Callable[[Any, Any], Any]) -> Service:
         """Create a service."""
@@ -92,8 +92,10 @@ class LaterResponse:
             self._send(self._response, header)
 
 
-class DeferredService:
-    """A service whose callback gets a :class:`LaterResponse` to call at once or later.
+def deferred_service(
+    services: PacedServices, kind: Any, name: str, callback: Callable[[Any, LaterResponse], None]
+) -> None:
+    """Create a service whose callback gets a :class:`LaterResponse` to call at once or later.
 
     Not an ``async`` callback: the events executor of rclpy 7.1 does not support these, and the others keep a core busy
     while one awaits. Instead, the callback returns the reply itself, and ``send_response`` is replaced to wait for it.
@@ -106,19 +108,10 @@ class DeferredService:
         Called with the request and its :class:`LaterResponse`.
     """
 
-    def __init__(
-        self, services: PacedServices, kind: Any, name: str, callback: Callable[[Any, LaterResponse], None]
-    ) -> None:
-        self._callback = callback
-        self.service = services.create(kind, name, self._on_request)
-        self._send_now = self.service.send_response
-        self.service.send_response = self._send
-
-    def _on_request(self, request: Any, _: Any) -> LaterResponse:
-        reply = LaterResponse(self._send_now)
-        self._callback(request, reply)
+    def on_request(request: Any, _: Any) -> LaterResponse:
+        reply = LaterResponse(send)
+        callback(request, reply)
         return reply
 
-    @staticmethod
-    def _send(reply: LaterResponse, header: Any) -> None:
-        reply.attach(header)
+    service = services.create(kind, name, on_request)
+    send, service.send_response = service.send_response, LaterResponse.attach

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import array
-from typing import TypeVar
 
 import numpy as np
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState, Resolver
-from rclpy.time import Time
 
 from drive_id.core.experiment import feedback
 from drive_id.core.experiment.state_machine import ReferenceBlock
 from drive_id.core.experiment.supervision import Report
+from drive_id.nodes.support.signal_messages import headed
 from drive_id.types import NANOSECONDS
 
-Headed = TypeVar("Headed", CurrentReference, DriveStatus, PublisherState)
 _STATUS = tuple(name for name in feedback.DriveStatus.__dataclass_fields__ if name != "stamp")
+_REPORTED = ("session", "dry_run", "elapsed", "duration", "coverage", "mean_speed", "mean_speed_reference", "bias")
 
 
 def stamp_of(message: PhaseCurrents | Resolver | DriveStatus | CurrentReference) -> int:
@@ -36,7 +35,7 @@ def drive_status(message: DriveStatus) -> feedback.DriveStatus:
 
 def status_message(status: feedback.DriveStatus, frame_id: str) -> DriveStatus:
     """Return the message of a status."""
-    return _headed(DriveStatus(**{name: getattr(status, name) for name in _STATUS}), status.stamp, frame_id)
+    return headed(DriveStatus(**{name: getattr(status, name) for name in _STATUS}), status.stamp, frame_id)
 
 
 def reference_message(block: ReferenceBlock, frame_id: str) -> CurrentReference:
@@ -45,20 +44,13 @@ def reference_message(block: ReferenceBlock, frame_id: str) -> CurrentReference:
     message.session, message.count, message.safe = block.session, block.count, block.safe
     message.stator_frame = block.stator_frame
     message.d, message.q = (array.array("f", column.tobytes()) for column in block.i_dq.T)
-    return _headed(message, block.stamp, frame_id)
+    return headed(message, block.stamp, frame_id)
 
 
 def state_message(report: Report, reason: str, now: int, frame_id: str) -> PublisherState:
     """Return the message of the state at a time, ns."""
-    message = PublisherState(state=report.state.value, reason=reason, session=report.session, dry_run=report.dry_run)
-    message.elapsed, message.duration, message.coverage = report.elapsed, report.duration, report.coverage
+    message = PublisherState(state=report.state.value, reason=reason)
     message.i_d, message.i_q = report.i_dq.tolist()
-    message.mean_speed, message.mean_speed_reference = report.mean_speed, report.mean_speed_reference
-    message.bias = report.bias
-    return _headed(message, now, frame_id)
-
-
-def _headed(message: Headed, stamp: int, frame_id: str) -> Headed:
-    message.header.stamp = Time(nanoseconds=stamp).to_msg()
-    message.header.frame_id = frame_id
-    return message
+    for name in _REPORTED:
+        setattr(message, name, getattr(report, name))
+    return headed(message, now, frame_id)

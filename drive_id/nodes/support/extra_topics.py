@@ -20,7 +20,7 @@ _MOST_LATCHED = 100
 
 
 class ExtraTopics:
-    """Subscribes to further topics as soon as somebody publishes them.
+    """Subscribes to further topics as soon as somebody publishes them; ``depth`` messages of each may wait.
 
     Parameters
     ----------
@@ -28,8 +28,6 @@ class ExtraTopics:
         Absolute names of the topics that are recorded anyway.
     receive : callable
         Called with topic and serialized message.
-    depth : int
-        Queue depth, messages.
     """
 
     def __init__(self, node: Node, own: Sequence[str], receive: Callable[[str, bytes], None], depth: int) -> None:
@@ -109,7 +107,7 @@ class ExtraTopics:
             return None
         self._troubles.pop(name, None)
         subscription = MatchedSubscription(
-            self._node, kind, name, partial(self._on_message, name), depth=self._depth, raw=True, latched=True
+            self._node, kind, name, partial(self._on_message, name), depth=self._depth, latched=True
         )
         self._subscriptions[name] = subscription
         topic = RecordedTopic(

@@ -15,15 +15,7 @@ from drive_id.nodes.support.message_types import definition, message_class
 
 
 class ForeignTopics:
-    """Subscribes to the topics of a signals file as soon as somebody publishes them.
-
-    Parameters
-    ----------
-    translator : Translator
-        Receives the messages.
-    depth : int
-        Queue depth, messages.
-    """
+    """Subscribes to a translator's topics as soon as somebody publishes them; ``depth`` messages of each may wait."""
 
     def __init__(self, node: Node, translator: Translator, depth: int) -> None:
         self._node, self._translator, self._depth = node, translator, depth
@@ -71,7 +63,7 @@ class ForeignTopics:
             return
         self._troubles.pop(given, None)
         self._subscriptions[given] = MatchedSubscription(
-            self._node, kind, given, partial(self._on_message, given), depth=self._depth, raw=True
+            self._node, kind, given, partial(self._on_message, given), depth=self._depth
         )
 
     def _on_message(self, given: str, data: bytes) -> None:

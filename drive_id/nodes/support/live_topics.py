@@ -6,8 +6,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from drive_id_msgs.msg import PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
-from rclpy.clock import Clock, ClockType
+from drive_id_msgs.msg import ScalarSamples
 
 from drive_id.files.messages.signals_file import read_signals
 from drive_id.health import Observation
@@ -15,12 +14,13 @@ from drive_id.live.identification.identifier import Identifier
 from drive_id.live.identification.inbox import Inbox
 from drive_id.live.publishers import Publisher
 from drive_id.live.translator import Translator
+from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.foreign_topics import ForeignTopics
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.matched_subscription import MatchedSubscription
+from drive_id.nodes.support.signal_messages import KINDS
 from drive_id.types import SCALARS
 
-TOPICS = {"phase_currents": PhaseCurrents, "phase_voltages": PhaseVoltages, "resolver": Resolver}
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
 _TRANSLATION_PERIOD = 0.02  # s between blocks of foreign messages
 _FOREIGN_DEPTH = 5000  # foreign messages that may wait while the node is busy
@@ -29,14 +29,8 @@ _FOREIGN_DEPTH = 5000  # foreign messages that may wait while the node is busy
 class LiveTopics:
     """Subscribes between :meth:`open` and :meth:`close`; what arrives counts while the node is active.
 
-    Parameters
-    ----------
-    identifier : Identifier
-        Receives the samples.
-    inbox : Inbox
-        Where our messages wait while the node is behind.
-    signals : str
-        Signals file of a bench with topics of its own; empty: it publishes our messages.
+    The identifier receives the samples; our messages wait in the inbox while the node is behind. ``signals`` is the
+    signals file of a bench with topics of its own; empty: it publishes our messages.
     """
 
     def __init__(self, node: ManagedNode, identifier: Identifier, inbox: Inbox, signals: str) -> None:
@@ -45,18 +39,16 @@ class LiveTopics:
         self._foreign: ForeignTopics | None = None
         self._topics: list[MatchedSubscription] = []
         self._scalars: list[MatchedSubscription] = []
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._match_timer = node.create_timer(_MATCH_PERIOD, self._match, clock=steady)
+        node.create_timer(_MATCH_PERIOD, self._match, clock=STEADY)
         if self._translator is not None:
-            translate = partial(self._translate, self._translator)
-            self._translation_timer = node.create_timer(_TRANSLATION_PERIOD, translate, clock=steady)
+            node.create_timer(_TRANSLATION_PERIOD, partial(self._translate, self._translator), clock=STEADY)
 
     def open(self) -> None:
         """Subscribe."""
         if self._translator is None:
             self._topics = [
                 self._subscription(kind, name, partial(self._identifier.receive, section))
-                for section, (name, kind) in enumerate(TOPICS.items())
+                for section, (name, kind) in enumerate(KINDS.items())
             ]
         else:
             self._foreign = ForeignTopics(self._node, self._translator, _FOREIGN_DEPTH)
@@ -74,7 +66,7 @@ class LiveTopics:
 
     def publishers(self) -> list[list[Publisher]]:
         """Return who publishes each of the three signals as our messages."""
-        return [topic.publishers for topic in self._topics] or [[] for _ in TOPICS]
+        return [topic.publishers for topic in self._topics] or [[] for _ in KINDS]
 
     def findings(self) -> list[Observation]:
         """Return what is wrong with a bench's own topics."""
@@ -85,7 +77,7 @@ class LiveTopics:
             if self._node.active:
                 self._inbox.take(handle, data)
 
-        return MatchedSubscription(self._node, kind, name, take, raw=True)
+        return MatchedSubscription(self._node, kind, name, take)
 
     def _match(self) -> None:
         for topic in (*self._topics, *self._scalars):

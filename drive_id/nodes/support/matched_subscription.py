@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from drive_id.files.storage.metadata import Qos
 from drive_id.live.publishers import Publisher, of_type, reliable_wanted
-from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT
+from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT, full_name
 
 
 class MatchedSubscription:
@@ -24,11 +24,9 @@ class MatchedSubscription:
     topic : str
         As given to ``create_subscription``.
     callback : callable
-        Called with a message, or with its serialized bytes.
+        Called with the bytes of each serialized message.
     depth : int
         Queue depth, messages.
-    raw : bool
-        Pass serialized messages.
     latched : bool
         Ask for the messages of before where all publishers keep them (transient local).
     """
@@ -38,10 +36,9 @@ class MatchedSubscription:
         node: Node,
         kind: type,
         topic: str,
-        callback: Callable[[Any], None],
+        callback: Callable[[bytes], None],
         *,
         depth: int = STREAM.depth,
-        raw: bool = False,
         latched: bool = False,
     ) -> None:
         self.topic: str = node.resolve_topic_name(topic)
@@ -50,9 +47,7 @@ class MatchedSubscription:
         self.latched = False
         """Whether the messages of before come, too."""
         self._may_be_latched = latched
-        self._node, self._kind, self._given, self._callback, self._depth, self._raw = (
-            node, kind, topic, callback, depth, raw,
-        )  # fmt: skip
+        self._node, self._kind, self._given, self._callback, self._depth = node, kind, topic, callback, depth
         self.publishers: list[Publisher] = []
         self._subscription: Any = None
         self._generation = 0
@@ -84,7 +79,7 @@ class MatchedSubscription:
             self._receiver(),
             qos,
             event_callbacks=SubscriptionEventCallbacks(use_default_callbacks=False),
-            raw=self._raw,
+            raw=True,
         )
 
     def close(self) -> None:
@@ -93,7 +88,7 @@ class MatchedSubscription:
         self._node.destroy_subscription(self._subscription)
         self._subscription = None
 
-    def _receiver(self) -> Callable[[Any], None]:
+    def _receiver(self) -> Callable[[bytes], None]:
         """Return a callback that ignores messages as soon as there is a newer subscription.
 
         An events executor keeps a destroyed subscription while it has events of it, and both then receive the same
@@ -102,9 +97,9 @@ class MatchedSubscription:
         self._generation += 1
         generation = self._generation
 
-        def receive(message: Any) -> None:
+        def receive(data: bytes) -> None:
             if generation == self._generation:
-                self._callback(message)
+                self._callback(data)
 
         return receive
 
@@ -117,7 +112,7 @@ class MatchedSubscription:
         subscription = self._subscription
         for _ in range(self._depth):  # more cannot wait; what arrives meanwhile is none of ours
             with subscription.handle:
-                taken = subscription.handle.take_message(self._kind, self._raw)
+                taken = subscription.handle.take_message(self._kind, True)
             if taken is None:
                 return
             self._callback(taken[0])
@@ -133,7 +128,7 @@ class MatchedSubscription:
 
 def _publisher(info: Any) -> Publisher:
     return Publisher(
-        f"{info.node_namespace.rstrip('/')}/{info.node_name}",
+        full_name(info),
         info.topic_type,
         info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT,
         info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,

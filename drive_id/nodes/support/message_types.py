@@ -11,12 +11,8 @@ from typing import Any
 from drive_id.errors import ConfigurationError
 
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Za-z][A-Za-z0-9]*)", re.ASCII)
-_FIELD = re.compile(r"^\s*([A-Za-z][\w/]*)", re.ASCII)
+_MENTIONED = re.compile(r"(\w+)/(\w+)")
 _SEPARATOR = "=" * 80
-_PRIMITIVES = {
-    "bool", "byte", "char", "float32", "float64", "string", "wstring",
-    *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
-}  # fmt: skip
 
 
 def message_class(type_name: str) -> Any:
@@ -46,23 +42,11 @@ def definition(type_name: str) -> str:
         if file is None:
             return ""
         texts[name] = file.read_text(encoding="utf-8")
-        wanted += _mentioned(name, texts[name])
+        fields = message_class(name).get_fields_and_field_types().values()
+        wanted += [f"{package}/msg/{inner}" for kind in fields for package, inner in _MENTIONED.findall(kind)]
     own = texts.pop(type_name)
     parts = [f"{_SEPARATOR}\nMSG: {name.replace('/msg/', '/')}\n{text}" for name, text in texts.items()]
     return "\n".join([own, *parts])
-
-
-def _mentioned(type_name: str, text: str) -> list[str]:
-    """Return the types of the fields of a definition."""
-    package = type_name.partition("/")[0]
-    found = []
-    for line in text.splitlines():
-        field = _FIELD.match(line.partition("#")[0])
-        if field is None or field[1] in _PRIMITIVES:
-            continue
-        outer, _, name = field[1].rpartition("/")
-        found.append(f"{outer.partition('/')[0] or package}/msg/{name}")
-    return found
 
 
 def _file(type_name: str) -> Path | None:

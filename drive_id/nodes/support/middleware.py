@@ -10,11 +10,12 @@ from pathlib import Path
 
 from rclpy.utilities import get_rmw_implementation_identifier
 
-_PROFILES_2, _PROFILES_3 = "FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE"
-"""Variables that Fast DDS 2 and 3 read."""
+_PROFILES_2 = "FASTRTPS_DEFAULT_PROFILES_FILE"  # read by Fast DDS 2
+_PROFILES_3 = "FASTDDS_DEFAULT_PROFILES_FILE"  # read by Fast DDS 3
 _RECEIVE_BUFFER = 4 << 20
 """Of a UDP socket, bytes, as far as net.core.rmem_max permits: some 270 messages fill the usual buffer of 208 KiB."""
-_RANGE, _ANYWHERE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "SYSTEM_DEFAULT"
+_RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+_ANYWHERE = "SYSTEM_DEFAULT"
 _PROFILE = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com"><profiles>{transports}
 <participant profile_name="drive_id" is_default_profile="true"><rtps>{settings}</rtps></participant></profiles></dds>

@@ -24,13 +24,8 @@ _TYPES = {
     float: Parameter.Type.DOUBLE,
     str: Parameter.Type.STRING,
 }
-_ARRAYS = {
-    bool: Parameter.Type.BOOL_ARRAY,
-    int: Parameter.Type.INTEGER_ARRAY,
-    float: Parameter.Type.DOUBLE_ARRAY,
-    str: Parameter.Type.STRING_ARRAY,
-}
-_LARGEST = 1.7e308
+_ARRAYS = {python: Parameter.Type[f"{kind.name}_ARRAY"] for python, kind in _TYPES.items()}
+_LARGEST = 1.7e308  # bound of a DOUBLE without bounds: nearly the largest float, so that infinity is refused
 
 
 def declare_settings(node: Node, cls: type[Settings], *, read_only: Iterable[str] = ()) -> Settings:
@@ -90,7 +85,7 @@ def read_settings(node: Node, cls: type[Settings], changes: Iterable[Parameter] 
 
 
 def on_change(
-    node: Node, cls: type[Settings], check: Callable[[Settings], None], apply: Callable[[Settings], None]
+    node: Node, cls: type[Settings], check: Callable[[Settings], object], apply: Callable[[Settings], None]
 ) -> None:
     """Refuse inconsistent changes of parameters, and report accepted ones.
 
@@ -143,19 +138,11 @@ def _descriptor(
     elif kind in _ARRAYS.values():
         descriptor.additional_constraints = f"each {', '.join(limits)}" if limits else ""
     elif kind is Parameter.Type.DOUBLE:
-        bounds = FloatingPointRange(from_value=-_LARGEST, to_value=_LARGEST)
-        if low is not None:
-            bounds.from_value = float(low)
-        if high is not None:
-            bounds.to_value = float(high)
-        descriptor.floating_point_range = [bounds]  # also refuses NaN
+        least, most = -_LARGEST if low is None else float(low), _LARGEST if high is None else float(high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=least, to_value=most)]  # also refuses NaN
     elif kind is Parameter.Type.INTEGER and (low is not None or high is not None):
-        descriptor.integer_range = [
-            IntegerRange(
-                from_value=int(low if low is not None else -(2**63)),
-                to_value=int(high if high is not None else 2**63 - 1),
-            )
-        ]
+        first, last = -(2**63) if low is None else int(low), 2**63 - 1 if high is None else int(high)
+        descriptor.integer_range = [IntegerRange(from_value=first, to_value=last)]
     if field.metadata.get("choices"):
         entries = "each one of " if kind in _ARRAYS.values() else "one of "
         descriptor.additional_constraints = entries + ", ".join(field.metadata["choices"])

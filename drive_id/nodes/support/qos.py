@@ -3,46 +3,17 @@
 from __future__ import annotations
 
 from rclpy.node import Node
-from rclpy.qos import (
-    DurabilityPolicy,
-    HistoryPolicy,
-    QoSCompatibility,
-    QoSProfile,
-    ReliabilityPolicy,
-    qos_check_compatible,
-)
+from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-STREAM = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1000,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+# What is not given is as in rclpy: the last messages are kept, reliable, and volatile.
+STREAM = QoSProfile(depth=1000)
 """Blocks of samples, none of which may be lost; a depth of 10 silently loses samples at 1 kHz."""
-
-STREAM_BEST_EFFORT = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1000,
-    reliability=ReliabilityPolicy.BEST_EFFORT,
-    durability=DurabilityPolicy.VOLATILE,
-)
+STREAM_BEST_EFFORT = QoSProfile(depth=1000, reliability=ReliabilityPolicy.BEST_EFFORT)
 """For subscriptions to best-effort publishers, from which a reliable subscription receives nothing."""
-
-LATCHED = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=1,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.TRANSIENT_LOCAL,
-)
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The flux map: late subscribers get the last one."""
-
-SERVICE = QoSProfile(
-    history=HistoryPolicy.KEEP_LAST,
-    depth=10_000,
-    reliability=ReliabilityPolicy.RELIABLE,
-    durability=DurabilityPolicy.VOLATILE,
-)
+SERVICE = QoSProfile(depth=10_000)
 """Of services: the default keeps the last 10 requests, and whoever sent one before waits in vain."""
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
@@ -59,7 +30,7 @@ def incompatible_subscriptions(node: Node, topic: str) -> list[str]:
     """
     name = node.resolve_topic_name(topic)
     own = [
-        info for info in node.get_publishers_info_by_topic(name) if _full_name(info) == node.get_fully_qualified_name()
+        info for info in node.get_publishers_info_by_topic(name) if full_name(info) == node.get_fully_qualified_name()
     ]
     if not own:
         return []  # not yet in the graph
@@ -75,9 +46,10 @@ def incompatible_subscriptions(node: Node, topic: str) -> list[str]:
             why = f"its quality of service is incompatible ({reason.removeprefix('ERROR: ').strip(' ;')})."
         else:
             continue
-        sentences.append(f"{_full_name(info)} receives nothing on {name}: {why}")
+        sentences.append(f"{full_name(info)} receives nothing on {name}: {why}")
     return sentences
 
 
-def _full_name(info: TopicEndpointInfo) -> str:
+def full_name(info: TopicEndpointInfo) -> str:
+    """Return the full name of the node of an endpoint."""
     return f"{info.node_namespace.rstrip('/')}/{info.node_name}"

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 
-from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, Resolver, ScalarSamples
+from drive_id_msgs.msg import CurrentReference, ScalarSamples
 from rclpy.node import Node
 
 from drive_id.files.messages.messages import type_hash
@@ -14,26 +14,14 @@ from drive_id.live.recording.recorder_health import TopicState
 from drive_id.live.recording.recording_session import RecordedTopic
 from drive_id.nodes.support.extra_topics import ExtraTopics
 from drive_id.nodes.support.matched_subscription import MatchedSubscription
+from drive_id.nodes.support.signal_messages import KINDS
 from drive_id.types import SCALARS
 
-TOPICS = {
-    "phase_currents": PhaseCurrents,
-    "phase_voltages": PhaseVoltages,
-    "resolver": Resolver,
-    "current_reference": CurrentReference,
-} | dict.fromkeys(SCALARS, ScalarSamples)
+TOPICS = KINDS | {"current_reference": CurrentReference} | dict.fromkeys(SCALARS, ScalarSamples)
 
 
 class RecordedTopics:
-    """Subscribes between :meth:`open` and :meth:`close`.
-
-    Parameters
-    ----------
-    receive : callable
-        Called with topic and serialized message.
-    depth : int
-        Queue depth, messages.
-    """
+    """Subscribes between :meth:`open` and :meth:`close`; hands topic and serialized message to ``receive``."""
 
     def __init__(self, node: Node, receive: Callable[[str, bytes], None], depth: int) -> None:
         self._node, self._receive, self._depth = node, receive, depth
@@ -47,7 +35,7 @@ class RecordedTopics:
         self._topics = [
             MatchedSubscription(
                 self._node, kind, name, partial(self._on_message, self._node.resolve_topic_name(name)),
-                depth=self._depth, raw=True,
+                depth=self._depth,
             )
             for name, kind in TOPICS.items()
         ]  # fmt: skip

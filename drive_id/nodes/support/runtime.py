@@ -9,8 +9,7 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
-from types import FrameType
+from collections.abc import Callable
 from typing import NoReturn
 
 import rclpy
@@ -43,10 +42,7 @@ class Stop:
         """Why the process ends although nobody told it to; empty otherwise."""
         self._read_end, self._write_end = os.pipe()
         for number in SIGNALS:
-            signal.signal(number, self._handle)
-
-    def _handle(self, _number: int, _frame: FrameType | None) -> None:
-        self._ask()
+            signal.signal(number, lambda *_: self._ask())
 
     def _ask(self) -> None:
         first, self.asked = not self.asked, True
@@ -79,7 +75,7 @@ class Stop:
         threading.Thread(target=wait, name="stop", daemon=True).start()
 
 
-def run(make: Callable[[], Node], args: Sequence[str] | None = None, *, shared_memory: bool = True) -> None:
+def run(make: Callable[[], Node], *, shared_memory: bool = True) -> None:
     """Create a node, spin it until the process is told to stop, close it, and end the process.
 
     The exit code is 0, or 1 with one sentence when the node cannot be created or does not hear others any more.
@@ -88,8 +84,6 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None, *, shared_m
     ----------
     make : callable
         The node's class. Its ``close()``, if any, is called while the node can still publish.
-    args : sequence of str, optional
-        Command line; default: that of the process.
     shared_memory : bool
         As in :func:`~.middleware.fast_dds`.
     """
@@ -99,7 +93,7 @@ def run(make: Callable[[], Node], args: Sequence[str] | None = None, *, shared_m
     try:
         with fast_dds(shared_memory=shared_memory):
             with ros_arguments():
-                rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
+                rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
             node = make()
             warn_of_unknown_parameters(node)
         stop.listen()

@@ -118,4 +118,4 @@ def test_what_does_not_fit_is_dropped_at_once_and_told():
     assert [len(data) for data in handled] == [4, MOST_BYTES // 3]
     assert [(told.code, told.values) for told in inbox.warnings()] == [("messages_dropped", {"messages": 3})]
     inbox.reset()
-    assert not inbox.findings()
+    assert not inbox.warnings()

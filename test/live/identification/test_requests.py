@@ -80,7 +80,7 @@ def test_a_cancelled_request_frees_the_place_at_once(desk, kind):
     first = desk.submit("first", getattr(desk, kind))
     desk.submit("second", lambda _: DONE)
     start = time.monotonic()
-    assert desk.requests.cancel(first, CANCELLED)
+    desk.requests.cancel(first, CANCELLED)
     desk.until(lambda: len(desk.replies) == 2)
     assert time.monotonic() - start < 1.0
     assert desk.replies == [("first", CANCELLED), ("second", DONE)]
@@ -93,9 +93,9 @@ def test_a_cancelled_request_frees_the_place_at_once(desk, kind):
 def test_a_waiting_request_is_cancelled_without_having_begun(desk):
     desk.submit("first", desk.patient)
     second = desk.submit("second", desk.patient)
-    assert desk.requests.cancel(second, CANCELLED)
+    desk.requests.cancel(second, CANCELLED)
+    desk.requests.cancel(second, CANCELLED)
     assert desk.replies == [("second", CANCELLED)]
-    assert not desk.requests.cancel(second, CANCELLED)
     desk.release.set()
     desk.until(lambda: len(desk.replies) == 2)
 

@@ -10,7 +10,7 @@ SECOND = 10**9
 
 def watched(times, every=0.25):
     """A watch that has looked at these times of the clock, s, every so many steady seconds."""
-    watch = ClockWatch(standstill=2.0)
+    watch = ClockWatch()
     for number, now in enumerate(times):
         watch.look(round(now * SECOND), number * every)
     return watch

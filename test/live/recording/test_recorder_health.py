@@ -10,9 +10,11 @@ from drive_id.health import Level
 from drive_id.live.publishers import Publisher, reliable_wanted
 from drive_id.live.recording.recorder_health import TopicState, recorder_health
 from drive_id.live.recording.recording_report import RecordingReport, TopicReport
+from drive_id.live.recording.recording_settings import RecordingSettings
 
 KIND = "drive_id_msgs/msg/Resolver"
 BENCH = Publisher("/bench", KIND)
+SETTINGS = RecordingSettings(silence=1.0, queue_size=64.0)
 
 
 def report(**fields):
@@ -21,7 +23,7 @@ def report(**fields):
 
 
 def health(found, publishers=(BENCH,), silent_for=0.1):
-    return recorder_health(found, [TopicState("/resolver", KIND, publishers, silent_for)], 1.0, 64.0)
+    return recorder_health(found, [TopicState("/resolver", KIND, publishers, silent_for)], SETTINGS)
 
 
 def test_nothing_is_wrong():
@@ -89,19 +91,19 @@ def test_optional_topics_may_be_absent_or_silent():
     torque = Publisher("/meter", "drive_id_msgs/msg/ScalarSamples")
     states = [TopicState("/resolver", KIND, (BENCH,), 0.1)]
     absent = TopicState("/shaft_torque", torque.type_name, (), None, optional=True)
-    found = recorder_health(running, [*states, absent], 1.0, 64.0)
+    found = recorder_health(running, [*states, absent], SETTINGS)
     assert (found.level, found.message) == (Level.OK, "Recording /data/bag.")
     assert not any("shaft_torque" in name for name in found.values)
     silent = TopicState("/shaft_torque", torque.type_name, (torque,), 60.0, optional=True)
-    assert recorder_health(running, [*states, silent], 1.0, 64.0).level == Level.OK
+    assert recorder_health(running, [*states, silent], SETTINGS).level == Level.OK
     other = TopicState(
         "/shaft_torque", torque.type_name, (Publisher("/x", "std_msgs/msg/Float64"),), None, optional=True
     )
-    assert recorder_health(running, [*states, other], 1.0, 64.0).level == Level.WARN
+    assert recorder_health(running, [*states, other], SETTINGS).level == Level.WARN
     late = RecordingReport(
         running.path, (*running.topics, TopicReport("/shaft_torque", lost=3, losses=1)), 1, 10, 0, ""
     )
-    assert "3 samples of /shaft_torque were lost" in recorder_health(late, [*states, silent], 1.0, 64.0).message
+    assert "3 samples of /shaft_torque were lost" in recorder_health(late, [*states, silent], SETTINGS).message
 
 
 def test_a_publisher_that_does_not_count_is_told():
@@ -114,7 +116,7 @@ def test_two_sentences_at_most_the_most_severe_first():
     figures = {"received": 50, "written": 20, "lost": 4, "losses": 1, "overflowed": 3, "unreadable": 2}
     further = [(Level.ERROR, "The clock stands."), (Level.WARN, "It is late.")]
     topics = [TopicState("/resolver", KIND, (), None)]
-    found = recorder_health(report(**figures), topics, 1.0, 64.0, further)
+    found = recorder_health(report(**figures), topics, SETTINGS, further)
     assert found.level == Level.ERROR
     assert found.message == "Recording /data/bag. The clock stands."
     rest = [found.values[f"also {number}"] for number in range(1, 6)]

@@ -1,4 +1,4 @@
-"""An action whose goals are requests with progress, which can be cancelled."""
+"""Requests that take long, by a service and by an action: its goals have progress, and can be cancelled."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rclpy.node import Node
 
 from drive_id.live.identification.identifier import CANCELLED, VANISHED, Job, Reply
 from drive_id.live.identification.requests import Request, Requests, Stage
-from drive_id.nodes.support.deferred_service import in_executor
+from drive_id.nodes.support.deferred_service import LaterResponse, PacedServices, deferred_service, in_executor
 from drive_id.nodes.support.qos import SERVICE
 
 _KEPT = 60  # s for which a result can be asked for
@@ -34,39 +34,42 @@ class _HoldingServer(ActionServer):
         super().notify_execute(goal_handle, callback)
 
 
-class RequestAction:
-    """Makes requests of goals.
+class RequestServer:
+    """Serves requests by a service and an action of one name.
 
     Parameters
     ----------
-    kind : type
-        Action type, whose feedback has ``stage``, ``progress`` and ``message``.
+    service, action : type
+        The feedback of the action has ``stage``, ``progress`` and ``message``.
     make : callable
-        Returns the job of a goal's request.
+        Returns the job of a request, of either kind.
     fill : callable
-        Fills a result with a reply, and returns it.
+        Fills a response or result with a reply, and returns it.
     """
 
     def __init__(
         self,
         node: Node,
-        kind: Any,
+        services: PacedServices,
+        service: Any,
+        action: Any,
         name: str,
         requests: Requests,
         make: Callable[[Any], Job],
         fill: Callable[[Any, Reply], Any],
     ) -> None:
         self._node = node
-        self._kind = kind
+        self._service, self._action = service, action
         self._requests = requests
         self._make = make
         self._fill = fill
         self._goals: dict[bytes, Request] = {}
         self._feedback = f"{node.resolve_service_name(name)}/_action/feedback"  # every action client subscribes to it
         self._last_seen: float | None = None  # when a client was last seen, s
+        deferred_service(services, service, name, self._on_request)
         self._server = _HoldingServer(
             node,
-            kind,
+            action,
             name,
             lambda _: None,
             handle_accepted_callback=self._on_accepted,
@@ -78,13 +81,20 @@ class RequestAction:
         )
 
     def look(self) -> None:
-        """Cancel goals whose clients are gone; call it several times a second."""
+        """Look after the requests, and cancel goals whose clients are gone; call it ten times a second."""
+        self._requests.look()
         now = time.monotonic()
         if not self._goals or self._node.count_subscribers(self._feedback):
             self._last_seen = now if self._goals else None
         elif self._last_seen is not None and now - self._last_seen > _GONE:
             for request in list(self._goals.values()):
                 self._requests.cancel(request, VANISHED)
+
+    def _on_request(self, request: Any, answer: LaterResponse) -> None:
+        def finish(reply: Reply) -> None:
+            answer(self._fill(self._service.Response(), reply))
+
+        self._requests.submit(Request(partial(self._make, request), finish), may_wait=False)
 
     def _on_accepted(self, goal: Any) -> None:
         in_executor(self._node, lambda: self._accept(goal))  # an error here would end the process
@@ -108,7 +118,7 @@ class RequestAction:
             self._requests.cancel(request, CANCELLED)
 
     def _tell(self, goal: Any, stage: Stage) -> None:
-        goal.publish_feedback(self._kind.Feedback(stage=stage.name, progress=stage.share, message=stage.sentence))
+        goal.publish_feedback(self._action.Feedback(stage=stage.name, progress=stage.share, message=stage.sentence))
 
     def _finish(self, goal: Any, reply: Reply) -> None:
         del self._goals[_key(goal)]
@@ -117,7 +127,7 @@ class RequestAction:
         self._server.conclude(goal, partial(self._conclude, reply))
 
     def _conclude(self, reply: Reply, goal: Any) -> Any:
-        result = self._fill(self._kind.Result(), reply)
+        result = self._fill(self._action.Result(), reply)
         if reply.success:
             goal.succeed()
         elif goal.is_cancel_requested:

@@ -217,7 +217,7 @@ class Evidence:
         """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         for name in (*_COUNTS, *_SUMS, "_quiet", "reached"):
             setattr(self, name, exactly(state[name], np.array(getattr(self, name))).item())
-        self.findings = tuple(map(_finding, json.loads(str(state["findings"]))))
+        self.findings = tuple(map(Message.stored, json.loads(str(state["findings"]))))
         for name, accumulator in self.accumulators().items():
             accumulator.restore(below(name, state))
 
@@ -273,10 +273,3 @@ class Evidence:
     def coverage(self) -> float:
         """Return the share of the current disc with data, 0 to 1."""
         return disc_coverage(self.visits.i_d, self.visits.i_q, self.inside(), self.i_max)
-
-
-def _finding(entry: dict[str, Any]) -> Message:
-    """Return a stored finding; earlier versions called its sentence message, and its kind severity."""
-    if "message" in entry:
-        return Message.told(entry["message"], entry["code"], entry["values"], entry["severity"])
-    return Message.stored(entry)

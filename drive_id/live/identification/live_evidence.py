@@ -9,8 +9,7 @@ from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion, concluded
-from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin
-from drive_id.core.signals.join_report import JoinReport
+from drive_id.core.signals.join import SECTIONS, JoinReport, Piece, StreamJoin
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError
 from drive_id.types import Samples

@@ -15,8 +15,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import PointCloud2
 
+from drive_id.core.accumulation.evidence import check_live
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.methods.registry import method_named
 from drive_id.errors import InactiveError
 from drive_id.health import Health
 from drive_id.live.identification.identification_settings import IdentificationSettings
@@ -131,7 +131,7 @@ class IdentificationNode(ManagedNode):
             self._publish(flux_map_message(self._identifier.provisional(refit), self._frame_id))
 
     def _check_settings(self, settings: FitSettings) -> None:
-        method_named(settings.method)  # refuses a method that live samples cannot serve
+        check_live(settings.method)
 
     def _on_settings(self, settings: FitSettings) -> None:
         self._inbox.empty()

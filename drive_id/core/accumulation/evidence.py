@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +13,20 @@ from numpy.typing import NDArray
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import Visits, disc_coverage
-from drive_id.core.maps.flux_models import FluxModel
-from drive_id.core.methods.registry import method_named
+from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline
+from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
 from drive_id.core.numerics.scans import mark_rests
+from drive_id.core.paper.regression import RegressionSums
 from drive_id.errors import ConfigurationError
 from drive_id.messages import Message
+from drive_id.origins import ORIGINS
 from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, Samples
+
+if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
+    from drive_id.core.full.window_sums import WindowSums
 
 DOMAIN_MARGIN = 1.05
 """Half width of the map by the i_max that is set."""
@@ -34,8 +39,19 @@ _COUNTS = ("samples", "gaps", "idle", "_differences")
 _SUMS = ("_time", "_difference_square", "_turn_square", "_angle_square")
 
 
+def check_live(method: str) -> None:
+    """Raise ConfigurationError for method ``static``, which sums nothing over samples."""
+    if not ORIGINS[method].live:
+        raise ConfigurationError(
+            "Method static fits operating points of whole logs, not accumulated or live samples: use drive-id fit LOG "
+            "--method static, or drive_id.fit."
+        )
+
+
 class Evidence:
     """Sums of the fit's method, counts of visited currents and noise statistics of the samples so far.
+
+    The sums of the paper's regression are always there, so that method ``full`` serves all methods.
 
     Parameters
     ----------
@@ -43,14 +59,21 @@ class Evidence:
         Ranges of the map.
     i_max : float
         Radius of the current disc of the experiment, A.
+
+    Raises
+    ------
+    ConfigurationError
+        For method ``static``.
     """
 
     def __init__(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> None:
+        check_live(settings.method)
         self.settings = settings
         self.d = d
         self.q = q
         self.i_max = i_max
-        self.information, self.windows = method_named(settings.method).accumulator(settings, d, q, i_max)
+        self.information = RegressionSums(self._flux_model(), TanhShape(settings.inverter_current_scale))
+        self.windows = self._window_sums() if ORIGINS[settings.method].windows else None
         self.visits = Visits(
             np.linspace(d.low, d.high, settings.grid_points), np.linspace(q.low, q.high, settings.grid_points)
         )
@@ -74,6 +97,20 @@ class Evidence:
         """Prepare for samples of unknown range in a disc of known radius, A."""
         edge = DOMAIN_MARGIN * i_max
         return cls(settings, Axis(-edge, edge, settings.splines_d), Axis(-edge, edge, settings.splines_q), i_max)
+
+    def _flux_model(self) -> FluxModel:
+        """Return the flux model of the paper's regression."""
+        if self.settings.flux_model == "spline":
+            return TensorSpline(self.d, self.q)
+        return Polynomial(1 if self.settings.flux_model == "linear" else self.settings.polynomial_degree, self.i_max)
+
+    def _window_sums(self) -> WindowSums:
+        from drive_id.core.full.model import FullModel  # noqa: PLC0415  # takes 0.1 s
+        from drive_id.core.full.window_sums import WindowSums  # noqa: PLC0415
+
+        low, high = np.array([self.d.low, self.q.low]), np.array([self.d.high, self.q.high])
+        reciprocal = self.settings.maps != "free"
+        return WindowSums(FullModel(low, high, self.i_max, self.settings.harmonic_orders, reciprocal=reciprocal))
 
     def add(
         self,
@@ -144,11 +181,12 @@ class Evidence:
         Raises
         ------
         ConfigurationError
-            When the other method needs sums that were not accumulated.
+            When the other method needs sums that were not accumulated, or sums nothing over samples.
         """
         other = copy.copy(self)
         other.settings = settings or self.settings
-        over_windows = method_named(other.settings.method).windows
+        check_live(other.settings.method)
+        over_windows = ORIGINS[other.settings.method].windows
         if over_windows and self.windows is None:
             raise ConfigurationError(
                 f"The samples were accumulated for method {self.settings.method}, which is not enough for method "
@@ -186,10 +224,11 @@ class Evidence:
         self._quiet = 0
 
     def suits(self, settings: FitSettings) -> bool:
-        """Tell whether a fit with these settings can use this evidence."""
+        """Tell whether a fit with these settings can use this evidence; raises ConfigurationError for ``static``."""
+        check_live(settings.method)
         shaping = (*_SHAPING, "i_max", "temperatures", "u_dc", "u_dc_reference")
         same = all(getattr(self.settings, name) == getattr(settings, name) for name in shaping)
-        return same and (self.windows is not None or not method_named(settings.method).windows)
+        return same and (self.windows is not None or not ORIGINS[settings.method].windows)
 
     def difference(self, other: Evidence, this: str = "in one", that: str = "in the other") -> str:
         """Return what keeps this evidence and the other from being merged; empty if nothing does."""
@@ -268,7 +307,11 @@ class Evidence:
 
     def inside(self) -> BoolArray:
         """Tell where on the grid of the visits data support a map of this resolution."""
-        return self.visits.inside(*method_named(self.settings.method).resolution(self.d, self.q))
+        if not ORIGINS[self.settings.method].windows:
+            return self.visits.inside(self.d.width, self.q.width)
+        from drive_id.core.full.resolution import FLUX_CELLS  # noqa: PLC0415  # as the window sums
+
+        return self.visits.inside(*((axis.high - axis.low) / FLUX_CELLS for axis in (self.d, self.q)))
 
     def coverage(self) -> float:
         """Return the share of the current disc with data, 0 to 1."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drive_id.core.fit_settings import FitSettings
+from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
 from drive_id.core.full.effect_report import effect_entries, misfit_warning, not_reciprocal_warning
@@ -15,23 +15,14 @@ from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
-from drive_id.core.full.model import MAGNET, RESISTANCE, FullModel
+from drive_id.core.full.model import MAGNET, RESISTANCE
 from drive_id.core.full.resolution import FLUX_CELLS
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import BasisRows, TensorSpline, fitted, sites
-from drive_id.core.methods.method import (
-    CURVE_POINTS,
-    EffectVoltages,
-    Estimate,
-    Gathered,
-    Limits,
-    MethodSums,
-    SimulationModel,
-)
-from drive_id.core.methods.paper import regression_sums
+from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Limits, SimulationModel
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
@@ -61,21 +52,9 @@ _FEW_COVERED, _WHOLE_DISC = 0.5, 0.02
 class FullMethod:
     """Linear least squares over windows, with rotor harmonics, an inverter curve and calibration."""
 
-    windows: bool = True
     limits: Limits = _LIMITS
 
-    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> MethodSums:
-        """Return empty sums: those of the paper's regression as well, so that they serve all methods."""
-        low, high = np.array([d.low, q.low]), np.array([d.high, q.high])
-        reciprocal = settings.maps != "free"
-        windows = WindowSums(FullModel(low, high, i_max, settings.harmonic_orders, reciprocal=reciprocal))
-        return MethodSums(regression_sums(settings, d, q, i_max), windows)
-
-    def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
-        """Return the widths of a cell of the flux map, A."""
-        return (d.high - d.low) / FLUX_CELLS, (q.high - q.low) / FLUX_CELLS
-
-    def conclude(self, evidence: Gathered, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
+    def conclude(self, evidence: Evidence, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
         """Fit, calibrate, and evaluate maps and curve.
 
         Raises DataError when there are fewer windows than unknowns, or the delay of the voltages jumps within a
@@ -194,7 +173,7 @@ def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
     return float(fit.solution.estimate[MAGNET]), fit.sigma(form)
 
 
-def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
+def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
     settings = evidence.settings
     found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
     found += effect_entries(fit, several_speeds=several_speeds(fit.assessment.speeds))
@@ -231,7 +210,7 @@ def _harmonic(frame: TrueFrame, order: int, grid: FloatArray) -> tuple[int, Floa
     return order, cosine.reshape(grid.shape), sine.reshape(grid.shape)
 
 
-def _simulation_model(evidence: Gathered, frame: TrueFrame, drop: tuple[FloatArray, FloatArray]) -> SimulationModel:
+def _simulation_model(evidence: Evidence, frame: TrueFrame, drop: tuple[FloatArray, FloatArray]) -> SimulationModel:
     """Return the maps as fine cubic splines: one form for simulation and queries, whatever they were fitted with."""
     cells = frame.fit.model.resolution
     counts = (
@@ -248,7 +227,7 @@ def _simulation_model(evidence: Gathered, frame: TrueFrame, drop: tuple[FloatArr
     return SimulationModel(TensorSpline(d, q), gamma, harmonics, drop, _effect_voltages(evidence, frame.fit))
 
 
-def _effect_voltages(evidence: Gathered, fit: FullFit) -> EffectVoltages | None:
+def _effect_voltages(evidence: Evidence, fit: FullFit) -> EffectVoltages | None:
     if not fit.spec.effects:
         return None
     search = fit.selection.search
@@ -298,7 +277,7 @@ def _error_modes(
 
 
 def _on_map(
-    evidence: Gathered, fit: FullFit, psi: FloatArray, sigma: FloatArray, inside: BoolArray
+    evidence: Evidence, fit: FullFit, psi: FloatArray, sigma: FloatArray, inside: BoolArray
 ) -> Iterator[Message]:
     """Yield warnings of the windows and of the standard errors of the flux map."""
     if misfit := misfit_warning(fit):
@@ -320,7 +299,7 @@ def _on_map(
         yield Message("wide_curve.large", shared=fit.shared_resistance)
 
 
-def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Calibration]) -> Iterator[Message]:
+def _on_calibration(evidence: Evidence, fit: FullFit, calibrations: Sequence[Calibration]) -> Iterator[Message]:
     """Yield warnings of sensor faults and of maps that are not reciprocal."""
     yield from (c.message for c in calibrations if c.name == "resolver_offset" and c.message.kind == "warning")
     if not fit.spec.reciprocal and evidence.settings.maps == "auto":
@@ -335,7 +314,7 @@ def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Cal
 
 
 def _statements(
-    evidence: Gathered, fit: FullFit, inside: BoolArray, calibrations: Sequence[Calibration]
+    evidence: Evidence, fit: FullFit, inside: BoolArray, calibrations: Sequence[Calibration]
 ) -> Iterator[Message]:
     """Yield what determined the unknowns that the data alone leave open, where data are missing, what helps most."""
     several = several_speeds(fit.assessment.speeds)
@@ -380,7 +359,7 @@ def _on_effort(fit: FullFit, sums: WindowSums) -> Iterator[Message]:
         )
 
 
-def _on_region(evidence: Gathered, inside: BoolArray) -> Message:
+def _on_region(evidence: Evidence, inside: BoolArray) -> Message:
     grid = evidence.visits.grid()
     disc = np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max
     missing = disc & ~inside

@@ -6,28 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from drive_id.core.fit_settings import FitSettings
-from drive_id.core.maps.coverage import Visits
+from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.maps.flux_models import TensorSpline
 from drive_id.core.methods.parameters import FitReport, Parameters
-from drive_id.core.numerics.bspline import Axis
-from drive_id.core.paper.regression import RegressionSums
 from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
     from drive_id.core.full.fit import EarlierFit
-    from drive_id.core.full.window_sums import WindowSums
 
 CURVE_POINTS = 201
 """Points of the inverter's curve in a result, from -i_max to i_max."""
-
-
-class MethodSums(NamedTuple):
-    """What is summed over samples: the paper's regression always, windows for method ``full`` only."""
-
-    information: RegressionSums
-    windows: WindowSums | None
 
 
 class Limits(NamedTuple):
@@ -38,42 +27,6 @@ class Limits(NamedTuple):
     mad: float  # mean absolute deviation of the simulated current over i_max
     remedy: str | None = None
     impossible: bool = False  # whether results that no machine can have are refused
-
-
-class Gathered(Protocol):
-    """What a method needs of the accumulated samples, see :class:`~drive_id.core.accumulation.evidence.Evidence`."""
-
-    settings: FitSettings
-    d: Axis
-    q: Axis
-    i_max: float
-    samples: int
-    idle: int
-    reached: float
-    information: RegressionSums
-    windows: WindowSums | None
-    visits: Visits
-    findings: tuple[Message, ...]
-
-    @property
-    def turn(self) -> float:
-        """Root mean square of the angle turned per sample, rad."""
-
-    @property
-    def sample_period(self) -> float:
-        """Of the samples, s."""
-
-    @property
-    def noise_variance(self) -> float:
-        """Variance of white noise in i_d and i_q each, A^2."""
-
-    @property
-    def angle_variance(self) -> float:
-        """Mean square error of interpolated angles, rad^2."""
-
-    @property
-    def noise_share(self) -> float:
-        """Energy that noise adds to the differences of a basis function, per energy of its rotation."""
 
 
 EffectVoltages = Callable[[Sequence[Samples]], tuple[list[FloatArray], bool]]
@@ -144,26 +97,16 @@ class Method(Protocol):
     """One of ``psm``, ``joint`` and ``full``."""
 
     @property
-    def windows(self) -> bool:
-        """Whether it sums over windows."""
-
-    @property
     def limits(self) -> Limits:
         """When to warn."""
 
-    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> MethodSums:
-        """Return empty sums for maps of these ranges and a current disc of this radius, A."""
-
-    def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
-        """Return the widths of a cell of its map, A: smaller holes in the data count as covered."""
-
-    def conclude(self, evidence: Gathered, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
+    def conclude(self, evidence: Evidence, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
         """Estimate maps and parameters.
 
         Parameters
         ----------
-        evidence : Gathered
-            With what :meth:`accumulator` returned, filled.
+        evidence : Evidence
+            Of all samples.
         inside : (D, Q) bool
             Where on the grid of the visits data support the map.
         earlier : EarlierFit, optional

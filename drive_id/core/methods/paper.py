@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.core.fit_settings import FitSettings
+from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
-from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline, as_tensor_spline, extend
-from drive_id.core.maps.inverter_curve import TanhShape
-from drive_id.core.methods.method import CURVE_POINTS, Estimate, Gathered, Limits, MethodSums, SimulationModel
+from drive_id.core.maps.flux_models import FluxModel, TensorSpline, as_tensor_spline, extend
+from drive_id.core.methods.method import CURVE_POINTS, Estimate, Limits, SimulationModel
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
@@ -52,20 +51,11 @@ class PaperMethod:
     """
 
     inverter: bool
-    windows: bool = False
     limits: Limits = _LIMITS
-
-    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> MethodSums:
-        """Return empty sums."""
-        return MethodSums(regression_sums(settings, d, q, i_max), None)
-
-    def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
-        """Return the widths of a cell of the splines, A."""
-        return d.width, q.width
 
     def conclude(
         self,
-        evidence: Gathered,
+        evidence: Evidence,
         inside: BoolArray,
         earlier: EarlierFit | None = None,  # noqa: ARG002  # there is nothing to select
     ) -> Estimate:
@@ -113,7 +103,7 @@ class PaperMethod:
         )
 
     def _on_inverter(
-        self, evidence: Gathered, solution: Solution, spread: Jackknife, inside: BoolArray
+        self, evidence: Evidence, solution: Solution, spread: Jackknife, inside: BoolArray
     ) -> Iterator[Message]:
         """Judge the voltage error and the symmetry of the map, which an unmodelled inverter distorts."""
         if not self.inverter:
@@ -128,16 +118,8 @@ class PaperMethod:
 PAPER_METHODS = {origin.name: PaperMethod(origin.inverter) for origin in (PSM, JOINT)}
 
 
-def regression_sums(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> RegressionSums:
-    """Return empty sums of the paper's regression."""
-    model: FluxModel = TensorSpline(d, q)
-    if settings.flux_model != "spline":
-        model = Polynomial(settings.polynomial_degree if settings.flux_model == "polynomial" else 1, i_max)
-    return RegressionSums(model, TanhShape(settings.inverter_current_scale))
-
-
 def _extended(
-    evidence: Gathered, solution: Solution, spread: Jackknife, i_dq: FloatArray
+    evidence: Evidence, solution: Solution, spread: Jackknife, i_dq: FloatArray
 ) -> tuple[TensorSpline, FloatArray]:
     """Return the map as splines, continued with typical slopes beyond the data, which lie at currents (N, 2), A."""
     model, gamma = evidence.information.model, solution.gamma
@@ -198,12 +180,12 @@ def _outlying_time(blocks: FloatArray, duration: float, solution: Solution) -> f
     return None
 
 
-def _on_noise(evidence: Gathered) -> Iterator[Message]:
+def _on_noise(evidence: Evidence) -> Iterator[Message]:
     if evidence.noise_share > _LARGE_NOISE:
         yield Message("current_noise", share=evidence.noise_share)
 
 
-def mirror_asymmetry(evidence: Gathered, gamma: FloatArray, inside: BoolArray) -> float:
+def mirror_asymmetry(evidence: Evidence, gamma: FloatArray, inside: BoolArray) -> float:
     """Return how far a map is from psi_d(i_d, -i_q) = psi_d, psi_q(i_d, -i_q) = -psi_q.
 
     An offset of the angle turns map and currents together, which no voltage shows; in a symmetric machine's map it

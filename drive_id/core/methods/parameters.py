@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drive_id.messages import Message
-from drive_id.types import FloatArray
+from drive_id.types import FloatArray, Samples
 
 if TYPE_CHECKING:  # a stored result is read without scipy
     from drive_id.core.full.calibration import Calibration
@@ -105,6 +106,14 @@ class Parameters:
     magnet_coefficient: tuple[float, float] | None = None
     statements: tuple[Message, ...] = ()
     error_modes: ErrorModes | None = None
+
+    def corrected(self, pieces: Sequence[Samples]) -> Sequence[Samples]:
+        """Return recordings without the sensor faults that are applied; the same ones if none was looked for."""
+        if not self.calibrations:
+            return pieces
+        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # takes 0.1 s
+
+        return [corrected(piece, self.calibrations) for piece in pieces]
 
     def by_name(self) -> dict[str, Any]:
         """Return the parameters alone, for another class that holds them."""

@@ -41,10 +41,6 @@ class Axis:
         """Width of a cell, A."""
         return (self.high - self.low) / (self.count - 3)
 
-    def sites(self) -> FloatArray:
-        """Return ``count`` equally spaced points over the range, ends included: interpolation there is unique."""
-        return np.linspace(self.low, self.high, self.count)
-
     def collocation(self, points: FloatArray) -> FloatArray:
         """Return the dense matrix (len(points), count) of all functions at points within the range."""
         knots = self.low + self.width * np.arange(-3, self.count + 1, dtype=np.float64)

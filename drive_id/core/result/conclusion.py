@@ -14,7 +14,6 @@ from drive_id.core.checks.radius import check_radius
 from drive_id.core.methods.method import Estimate
 from drive_id.core.methods.registry import method_named
 from drive_id.core.paper.rows import VOLTAGE
-from drive_id.core.result.corrected import corrected_pieces
 from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.monotone_estimate import made_monotone
 from drive_id.core.result.warnings import because, condemned, review
@@ -120,7 +119,7 @@ def _mad(
     """
     if not validation:
         return (float("nan"), float("nan")), False, None
-    pieces, complete = corrected_pieces(validation, estimate.calibrations), True
+    pieces, complete = estimate.corrected(validation), True
     known = estimate.simulation
     if known.effects is not None:
         voltages, complete = known.effects(validation)

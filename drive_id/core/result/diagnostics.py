@@ -16,12 +16,10 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
-from drive_id.core.result.corrected import corrected_pieces
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import gather, score
 from drive_id.core.validation.residuals import (
     AngleBins,
-    Flux,
     Residual,
     TimeBins,
     over_angle,
@@ -158,9 +156,13 @@ def drive_residual(drive: IdentifiedDrive, excerpts: Sequence[Samples]) -> Resid
     """Return the residual voltage of samples, corrected for the sensor faults that were found."""
     drop = drive.phase_voltages
     curve = (drive.inverter_current, drive.inverter_voltage if drop is None else drop)
+
+    def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
+        return drive.flux(i_dq) + drive.flux_map.ripple(drive.harmonics, i_dq, angle)
+
     found, start = [Residual(np.zeros(0), np.zeros((0, 2)), np.zeros(0))], 0.0
-    for part in corrected_pieces(excerpts, drive.calibrations):
-        residual = residual_voltage(part, _flux(drive), drive.resistance, curve)
+    for part in drive.corrected(excerpts):
+        residual = residual_voltage(part, flux, drive.resistance, curve)
         found.append(residual._replace(time=start + residual.time))
         start += part.duration
     return Residual(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
@@ -168,11 +170,6 @@ def drive_residual(drive: IdentifiedDrive, excerpts: Sequence[Samples]) -> Resid
 
 def _rms(residual: Residual) -> float:
     return float(np.sqrt(np.mean(residual.voltage**2))) if len(residual.voltage) else math.nan
-
-
-def _flux(drive: IdentifiedDrive) -> Flux:
-    """Return the identified flux over current and angle, rotor-position harmonics included."""
-    return lambda i_dq, angle: drive.flux(i_dq) + drive.flux_map.ripple(drive.harmonics, i_dq, angle)
 
 
 def _comparisons(

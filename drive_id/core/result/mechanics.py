@@ -19,7 +19,6 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import BlockRegression
-from drive_id.core.result.corrected import corrected_pieces
 from drive_id.core.result.identification import Cogging, FluxMap, HarmonicMap, IdentifiedDrive, Mechanics
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
@@ -83,9 +82,8 @@ def with_mechanics(
     discs = settings.added_inertia
     if discs and len(discs) != len(excerpts):
         drive, discs = replace(drive, statements=(*drive.statements, Message("disc_unused"))), ()
-    pieces = corrected_pieces(excerpts, drive.calibrations)
     known = settings.inertia, drive.error_modes, drive.harmonics
-    found = fit_mechanics(drive.flux_map, pieces, pole_pairs, discs, *known)
+    found = fit_mechanics(drive.flux_map, drive.corrected(excerpts), pole_pairs, discs, *known)
     if found is None:
         return drive
     return replace(drive, mechanics=found, statements=(*drive.statements, *_statements(found)))
@@ -155,9 +153,9 @@ def _fitted(
     """Fit the motion, with a function for the flux and electrical orders of cogging."""
     width = _bell_width(flux_map, flux, pieces)
     motions = [
-        _Motion.of(flux_map, flux, run, pole_pairs, disc, width, orders)
+        _Motion.of(flux_map, flux, piece.part(run.start, run.stop), pole_pairs, disc, width, orders)
         for piece, disc in zip(pieces, discs, strict=True)
-        for run in map(piece.part, *_edges(piece))
+        for run in piece.runs()
     ]
     data = np.concatenate([motion.rows[motion.kept] for motion in motions])
     if len(data) < _BELLS * _FEWEST:
@@ -266,11 +264,6 @@ def _of_speeds(speed: FloatArray) -> list[int]:
     slowest, fastest = np.percentile(speed, [5, 95])  # not those of a run-up
     reversed_ = slowest < -0.2 * high and fastest > 0.2 * high
     return [_FRICTION, *([_VISCOUS] if high > _SAME_SPEED * low else []), *([_LOAD] if reversed_ else [])]
-
-
-def _edges(piece: Samples) -> tuple[list[int], list[int]]:
-    runs = list(piece.runs())
-    return [run.start for run in runs], [run.stop for run in runs]
 
 
 def _bell_width(flux_map: FluxMap, flux: _Flux, pieces: Sequence[Samples]) -> float:

@@ -10,7 +10,6 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import BlockRegression, grouped
-from drive_id.core.result.corrected import corrected_pieces
 from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, TorqueFit
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
@@ -41,7 +40,7 @@ def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs:
         return drive
     if pole_pairs is None:
         return replace(drive, statements=(*drive.statements, Message("torque_not_compared.pole_pairs")))
-    found = fit_torque(drive.flux_map, corrected_pieces(pieces, drive.calibrations), pole_pairs)
+    found = fit_torque(drive.flux_map, drive.corrected(pieces), pole_pairs)
     if found is None:
         return replace(drive, statements=(*drive.statements, Message("torque_not_compared.few")))
     warnings = (*drive.report.warnings, *_warnings(found))
@@ -72,19 +71,27 @@ def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) ->
     """
     total = sum(len(piece) for piece in pieces)
     size = max(total // _BLOCKS, 1)
-    speeds, orders = _Speeds(), _resolved_orders(pieces)
+    orders = _resolved_orders(pieces)
     blocks: list[FloatArray] = []
+    speeds: list[FloatArray] = []  # the range in each block
+    signs: set[float] = set()
     for piece in pieces:
         for start in range(0, len(piece), min(size, _CHUNK)):
             part = piece.part(start, min(start + min(size, _CHUNK), len(piece)))
             rows = _rows(flux_map, part, pole_pairs, orders)
             if len(rows):
                 blocks.append(rows.T @ rows)
-                speeds.add(rows[:, _SPEED])
+                speeds.append(np.percentile(np.abs(rows[:, _SPEED]), [5, 95]))
+                signs |= set(np.sign(rows[:, _SPEED]).tolist())
     blocks = grouped(blocks, _BLOCKS)
     if len(blocks) < _FEWEST_BLOCKS:
         return None
-    base = [_GAIN, _FRICTION, *([_SPEED] if speeds.apart else []), *([_OFFSET] if speeds.reversed else [])]
+    slow, fast = np.min(speeds, axis=0)[0], np.max(speeds, axis=0)[1]
+    base = [_GAIN, _FRICTION]
+    if fast > _SPEEDS_APART * slow:
+        base.append(_SPEED)
+    if len(signs) > 1:
+        base.append(_OFFSET)
     every = [*base, *range(_HARMONICS, _HARMONICS + 2 * len(orders))]
     solution = BlockRegression.of(np.array(blocks), _TORQUE, every)
     kept = [(k, order) for k, order in enumerate(orders) if solution.wald(_HARMONICS + 2 * k) > _SIGNIFICANT]
@@ -159,27 +166,6 @@ def _resolved_orders(pieces: Sequence[Samples]) -> list[int]:
     rate, turns = bends / max(count, 1.0) / (time / sum(map(len, pieces))), turned / time / (2 * np.pi)
     highest = int(min(MOST_ORDER, rate / (_SAMPLES_PER_PERIOD * turns)))
     return list(range(1, highest + 1))
-
-
-class _Speeds:
-    """Which directions and speeds a recording has."""
-
-    def __init__(self) -> None:
-        self._low, self._high = np.inf, 0.0
-        self._signs: set[float] = set()
-
-    def add(self, speed: FloatArray) -> None:
-        self._low = min(self._low, float(np.percentile(np.abs(speed), 5)))
-        self._high = max(self._high, float(np.percentile(np.abs(speed), 95)))
-        self._signs |= set(np.sign(speed).tolist())
-
-    @property
-    def apart(self) -> bool:
-        return self._high > _SPEEDS_APART * self._low
-
-    @property
-    def reversed(self) -> bool:
-        return len(self._signs) > 1
 
 
 def _statement(found: TorqueFit) -> Message:

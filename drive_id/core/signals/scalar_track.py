@@ -75,14 +75,9 @@ class ScalarTrack:
         if self._given_up is not None and int(stamp[0]) <= self._given_up + self.reach:
             self.late = True
         self._latest = int(stamp[-1])
-        self._keep(np.append(self._stamp, stamp), np.append(self._values, values))
-
-    def _keep(self, stamp: IntArray, values: FloatArray) -> None:
-        excess = len(stamp) - self._capacity
-        if excess > 0:
-            self.late = True
-            stamp, values = stamp[excess:], values[excess:]
-        self._stamp, self._values = stamp, values
+        stamp, values = np.append(self._stamp, stamp), np.append(self._values, values)
+        self.late |= len(stamp) > self._capacity
+        self._stamp, self._values = stamp[-self._capacity :], values[-self._capacity :]
 
     def decided(self, newest: int) -> int:
         """Return the stamp, ns, up to which nothing that may still arrive can change the signal.

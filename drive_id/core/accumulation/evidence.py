@@ -202,26 +202,21 @@ class Evidence:
 
         Raises ConfigurationError when they were accumulated differently; see :meth:`difference`.
         """
-        both = self.copy()
-        both.merge(other)
-        return both
-
-    def merge(self, other: Evidence) -> None:
-        """Add the evidence of other recordings, see :meth:`merged`."""
         if difference := self.difference(other):
             raise ConfigurationError(
                 f"Two recordings were accumulated differently ({difference}) and cannot be merged: accumulate both "
                 "with the same settings and the same i_max."
             )
-        theirs = other.accumulators()
-        for name, accumulator in self.accumulators().items():
+        both, theirs = self.copy(), other.accumulators()
+        for name, accumulator in both.accumulators().items():
             accumulator.merge(theirs[name])
-        self.gaps += self.samples > 0 and other.samples > 0
         for name in (*_COUNTS, *_SUMS):
-            setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.reached = max(self.reached, other.reached)
-        self.findings = tuple(dict.fromkeys((*self.findings, *other.findings)))
-        self._quiet = 0
+            setattr(both, name, getattr(self, name) + getattr(other, name))
+        both.gaps += self.samples > 0 and other.samples > 0
+        both.reached = max(self.reached, other.reached)
+        both.findings = tuple(dict.fromkeys((*self.findings, *other.findings)))
+        both._quiet = 0  # noqa: SLF001  # of its own class
+        return both
 
     def suits(self, settings: FitSettings) -> bool:
         """Tell whether a fit with these settings can use this evidence; raises ConfigurationError for ``static``."""

@@ -70,8 +70,6 @@ def with_mechanics(
 
     Parameters
     ----------
-    drive : IdentifiedDrive
-    excerpts : sequence of Samples
     pole_pairs : int or None
         None when unknown: then there are no mechanics.
     settings : FitSettings
@@ -112,9 +110,6 @@ def fit_mechanics(
 
     Parameters
     ----------
-    flux_map : FluxMap
-    pieces : sequence of Samples
-    pole_pairs : int
     discs : sequence of float, optional
         Inertia added in each piece, kg m^2. Default: none.
     inertia : float, optional

@@ -51,15 +51,17 @@ def condemned(
     evidence: Evidence, estimate: Estimate, flux_map: FluxMap, mad: tuple[float, float], limits: Limits
 ) -> Message | None:
     """Return why no machine can have this result, or None."""
+    if not limits.impossible:
+        return None
     resistance, sigma = estimate.resistance, estimate.sigma_resistance
-    if limits.impossible and resistance < -_IMPOSSIBLE * sigma:
+    if resistance < -_IMPOSSIBLE * sigma:
         return because(evidence, "impossible_resistance", resistance=resistance, sigma_resistance=sigma)
     told = any(finding.code == "angle_offset" for finding in evidence.findings)
     off = (c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations)
-    if limits.impossible and told and any(off):
+    if told and any(off):
         return because(evidence, "impossible_angle")
     i_dq = _with_data(evidence, flux_map)
-    if not limits.impossible or not len(i_dq):
+    if not len(i_dq):
         return None
     share = float((~estimate.positive_definite(i_dq)).mean())
     diverges = not np.isfinite(mad).all()
@@ -111,7 +113,7 @@ def _on_map(evidence: Evidence, estimate: Estimate, flux_map: FluxMap, limits: L
         d, q = i_dq[active].mean(axis=0)
         points = int(active.sum())
         yield Message("indefinite_inductances", points=points, of=len(i_dq), i_d=d, i_q=q, remedy=limits.remedy)
-    psi = np.stack([flux_map.sampled(values, *i_dq.T) for values in (flux_map.psi_d, flux_map.psi_q)], axis=-1)
+    psi = flux_map.bilinear(i_dq)
     magnet = psi[np.hypot(*i_dq.T).argmin(), 0]
     offset = any(finding.code == "angle_offset" for finding in evidence.findings)
     if not offset and magnet < -_REVERSED * np.abs(psi).max():

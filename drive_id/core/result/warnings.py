@@ -9,7 +9,6 @@ import numpy as np
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import radius_warnings
 from drive_id.core.methods.method import Estimate, Limits
-from drive_id.core.methods.registry import method_named
 from drive_id.core.result.identification import FluxMap
 from drive_id.messages import Message
 from drive_id.types import FloatArray
@@ -28,10 +27,14 @@ _DECIMATED, _DECIMATED_TURN = (-0.55, -0.22), np.deg2rad(4.0)
 
 
 def review(
-    evidence: Evidence, coverage: float, estimate: Estimate, flux_map: FluxMap, mad: tuple[float, float]
+    evidence: Evidence,
+    coverage: float,
+    estimate: Estimate,
+    flux_map: FluxMap,
+    mad: tuple[float, float],
+    limits: Limits,
 ) -> tuple[Message, ...]:
     """Return one warning per weakness, most basic first."""
-    limits = method_named(evidence.settings.method).limits
     return (
         *(
             finding

@@ -75,10 +75,9 @@ class FullMethod:
         if (jump := fit.assessment.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
-        points = grid.reshape(-1, 2)
         found = _calibrations(evidence, fit, grid, inside)
         frame = TrueFrame(fit, next((c.value for c in found if c.name == "resolver_offset" and c.applied), 0.0))
-        psi = frame.flux(points).reshape(grid.shape)
+        psi = frame.flux(grid)
         sigma = _sigma(frame, grid, inside)
         warnings = (*_on_map(evidence, fit, psi, sigma, inside), *_on_calibration(evidence, fit, found))
         earlier, scaled = EarlierFit.of(fit), calibration.by_common_gain(fit, found, grid[inside], _LARGE_MISMATCH)
@@ -119,7 +118,7 @@ class FullMethod:
             warnings=warnings,
             sigma_inverter_voltage=deviation,
             phase_voltages=drops if fit.spec.per_phase else None,
-            harmonics=tuple(_harmonic(frame, order, grid) for order in fit.spec.orders),
+            harmonics=tuple((order, *frame.harmonic(order, grid)) for order in fit.spec.orders),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
             statements=(*_statements(evidence, fit, inside, found), *_on_effort(fit, information)),
@@ -142,16 +141,16 @@ class TrueFrame:
     angle: float
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
-        """Return psi_dq (N, 2), Wb, averaged over the rotor position, at currents (N, 2), A."""
-        rows = self.fit.model.flux.rows(rotated(i_dq, -self.angle))
-        return rotated(rows.dot(self.fit.solution.estimate[self.fit.model.map]), self.angle)
+        """Return psi_dq (..., 2), Wb, averaged over the rotor position, at currents (..., 2), A."""
+        rows = self.fit.model.flux.rows(rotated(i_dq.reshape(-1, 2), -self.angle))
+        return rotated(rows.dot(self.fit.solution.estimate[self.fit.model.map]), self.angle).reshape(i_dq.shape)
 
     def harmonic(self, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the amplitudes of cos(h theta) and sin(h theta), (N, 2) each, Wb, theta being the true angle."""
+        """Return the amplitudes of cos(h theta) and sin(h theta), (..., 2) each, Wb, theta being the true angle."""
         model = self.fit.model
-        rows = model.harmonic.rows(rotated(i_dq, -self.angle))
+        rows = model.harmonic.rows(rotated(i_dq.reshape(-1, 2), -self.angle))
         halves = np.split(self.fit.solution.estimate[model.harmonics[order]], 2)
-        a, b = (rotated(rows.dot(half), self.angle) for half in halves)
+        a, b = (rotated(rows.dot(half), self.angle).reshape(i_dq.shape) for half in halves)
         cosine, sine = np.cos(order * self.angle), np.sin(order * self.angle)
         return a * cosine + b * sine, b * cosine - a * sine
 
@@ -205,11 +204,6 @@ def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
     return sigma
 
 
-def _harmonic(frame: TrueFrame, order: int, grid: FloatArray) -> tuple[int, FloatArray, FloatArray]:
-    cosine, sine = frame.harmonic(order, grid.reshape(-1, 2))
-    return order, cosine.reshape(grid.shape), sine.reshape(grid.shape)
-
-
 def _simulation_model(evidence: Evidence, frame: TrueFrame, drop: tuple[FloatArray, FloatArray]) -> SimulationModel:
     """Return the maps as fine cubic splines: one form for simulation and queries, whatever they were fitted with."""
     cells = frame.fit.model.resolution
@@ -218,12 +212,11 @@ def _simulation_model(evidence: Evidence, frame: TrueFrame, drop: tuple[FloatArr
     )
     d, q = (Axis(axis.low, axis.high, count) for axis, count in zip((evidence.d, evidence.q), counts, strict=True))
     places = sites(d, q, _DENSITY)
-    points = places.reshape(-1, 2)
-    gamma = fitted(frame.flux(points).reshape(places.shape), d, q)
+    gamma = fitted(frame.flux(places), d, q)
     harmonics = {}
     for order in frame.fit.spec.orders:
-        cosine, sine = (fitted(x.reshape(places.shape), d, q) for x in frame.harmonic(order, points))
-        harmonics[order] = (cosine, sine)
+        cosine, sine = frame.harmonic(order, places)
+        harmonics[order] = (fitted(cosine, d, q), fitted(sine, d, q))
     return SimulationModel(TensorSpline(d, q), gamma, harmonics, drop, _effect_voltages(evidence, frame.fit))
 
 

@@ -8,8 +8,16 @@ import numpy as np
 
 from drive_id.types import FloatArray
 
+SIGNIFICANT = 30.0
+"""Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
+_SAME_GAIN = 2e-3
 _LARGEST_LEVERAGE = 0.98
 """Of a block, beyond which its residual is all rounding."""
+
+
+def is_one(gain: float, sigma: float) -> bool:
+    """Tell whether a common gain is 1 as far as its standard error tells."""
+    return abs(gain - 1) <= max(2 * sigma, _SAME_GAIN)
 
 
 def grouped(blocks: list[FloatArray], wanted: int) -> list[FloatArray]:

@@ -18,7 +18,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.core.result.block_regression import BlockRegression
+from drive_id.core.result.block_regression import SIGNIFICANT, BlockRegression, is_one
 from drive_id.core.result.identification import Cogging, FluxMap, HarmonicMap, IdentifiedDrive, Mechanics
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
@@ -47,11 +47,8 @@ _EXPLAINED = 0.9
 """Share of the torque's energy that the motion must explain to be that of a free shaft."""
 _HELD = 0.3
 """The same without cogging and ripple, below which a shaft is held: most are, and the waves take a tenth of a fit."""
-_SIGNIFICANT = 30.0
-"""Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
 _TOLD = 5.0
 """Standard errors of friction, viscous friction or load from which on the motion tells it."""
-_SAME_GAIN = 2e-3
 _COMMON = 1e-4
 """What method full leaves in the size common to all fluxes of simulated drives, and no standard error holds."""
 _LEAST_WAVE = 0.05
@@ -201,9 +198,9 @@ def _fitted(
         cogging=tuple(
             Cogging(orders[(column - _HARMONICS) // _PER_ORDER], *(by * x for x in solution.amplitude(column)))
             for column in looked
-            if solution.wald(column) > _SIGNIFICANT
+            if solution.wald(column) > SIGNIFICANT
         ),
-        cogging_visible=by * math.sqrt(_SIGNIFICANT) * max(map(solution.scatter, looked)) if looked else None,
+        cogging_visible=by * math.sqrt(SIGNIFICANT) * max(map(solution.scatter, looked)) if looked else None,
         gain=None if gain is None else gain[0],
         sigma_gain=None if gain is None else gain[1],
         explained=float(explained),
@@ -380,7 +377,7 @@ def _statements(found: Mechanics) -> Iterator[Message]:
     if found.gain is None or found.sigma_gain is None:
         yield Message("motion", **values)
     else:
-        confirmed = abs(found.gain - 1) <= max(2 * found.sigma_gain, _SAME_GAIN)
+        confirmed = is_one(found.gain, found.sigma_gain)
         yield Message("motion.confirmed" if confirmed else "motion.gain", off=abs(found.gain - 1), **values)
     if not found.cogging and found.cogging_visible is not None:
         yield Message("cogging_unseen", visible=found.cogging_visible)

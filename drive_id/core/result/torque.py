@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.core.result.block_regression import BlockRegression, grouped
+from drive_id.core.result.block_regression import SIGNIFICANT, BlockRegression, grouped, is_one
 from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, TorqueFit
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
@@ -17,10 +17,11 @@ from drive_id.types import FloatArray, Samples
 MOST_ORDER = 24
 """Highest electrical order of cogging that is looked for."""
 _CHUNK = 1 << 15
-_BLOCKS, _FEWEST_BLOCKS = 40, 8
-_SIGNIFICANT = 30.0
-"""Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
-_SAME_GAIN = 2e-3
+"""Samples at a time, which bounds the memory."""
+_BLOCKS = 40
+"""Blocks of time, about, between which the residuals scatter."""
+_FEWEST_BLOCKS = 8
+"""Blocks below which their scatter is no standard error."""
 _LARGEST_GAIN_ERROR = 0.05
 _SPEEDS_APART = 1.2
 _SAMPLES_PER_PERIOD = 8.0
@@ -94,7 +95,7 @@ def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) ->
         base.append(_OFFSET)
     every = [*base, *range(_HARMONICS, _HARMONICS + 2 * len(orders))]
     solution = BlockRegression.of(np.array(blocks), _TORQUE, every)
-    kept = [(k, order) for k, order in enumerate(orders) if solution.wald(_HARMONICS + 2 * k) > _SIGNIFICANT]
+    kept = [(k, order) for k, order in enumerate(orders) if solution.wald(_HARMONICS + 2 * k) > SIGNIFICANT]
     columns = [*base, *(_HARMONICS + 2 * k + part for k, _ in kept for part in (0, 1))]
     solution = BlockRegression.of(np.array(blocks), _TORQUE, columns)
 
@@ -169,9 +170,8 @@ def _resolved_orders(pieces: Sequence[Samples]) -> list[int]:
 
 
 def _statement(found: TorqueFit) -> Message:
-    confirmed = abs(found.gain - 1.0) <= max(2 * found.sigma_gain, _SAME_GAIN)
     return Message(
-        "torque.confirmed" if confirmed else "torque",
+        "torque.confirmed" if is_one(found.gain, found.sigma_gain) else "torque",
         off=abs(found.gain - 1),
         gain=found.gain,
         sigma_gain=found.sigma_gain,

@@ -42,18 +42,10 @@ _Rows = list[NDArray[Any]]
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Joined samples.
-
-    Parameters
-    ----------
-    samples : Samples
-        Of one run or of several.
-    continues : bool
-        They begin with the last sample of the piece before.
-    """
+    """Joined samples, of one run or of several."""
 
     samples: Samples
-    continues: bool
+    continues: bool  # they begin with the last sample of the piece before
 
 
 def joined(pieces: Sequence[Piece]) -> Samples:
@@ -96,18 +88,8 @@ def join(
 
     Raises
     ------
-    EmptyTopicError
-        When a signal has no sample.
-    NonFiniteError
-        When a value is NaN or infinite.
-    StampOrderError
-        When more than 1 % of a signal would have to be cut out.
-    SamplePeriodError
-        When the periods of the signals, or the declared and the stamped one, differ by more than 1 %.
-    NoOverlapError
-        When nothing, or no run of a few samples, is common to the three.
-    DataError
-        When the stamps of two signals are not locked to each other, or lie half a period apart.
+    EmptyTopicError, NonFiniteError, SamplePeriodError, DataError
+        See :meth:`StreamJoin.check`.
     """
     signals = (currents, voltages, resolver)
     reference = None
@@ -136,21 +118,11 @@ def join(
 
 @dataclass(frozen=True)
 class JoinReport:
-    """What became of the signals of one recording.
+    """What became of the signals of one recording."""
 
-    Parameters
-    ----------
-    samples : int
-        In the result.
-    gaps : int
-        Breaks found, also around stretches that were too short to keep.
-    warnings : tuple of Message
-        What is missing, cut out or shifted.
-    """
-
-    samples: int
-    gaps: int
-    warnings: tuple[Message, ...]
+    samples: int  # in the result
+    gaps: int  # breaks found, also around stretches that were too short to keep
+    warnings: tuple[Message, ...]  # what is missing, cut out or shifted
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,12 +221,8 @@ class StreamJoin:
     def add(self, section: int, piece: Signal) -> list[Piece]:
         """Take a further part of a signal and return what can be joined by now.
 
-        Parameters
-        ----------
-        section : int
-            0 for currents, 1 for voltages, 2 for the resolver with angle and speed.
-        piece : Signal
-            With its declared period, unless it is a whole recorded signal; its losses are those since the part before.
+        The section is 0 for currents, 1 for voltages, 2 for the resolver with angle and speed. The part has its
+        declared period, unless it is a whole recorded signal; its losses are those since the part before.
         """
         track = self.tracks[section]
         if self._given_up_to is not None and len(piece.stamp):
@@ -269,15 +237,7 @@ class StreamJoin:
         return max(self.batch, int(min(self.wait / track.period, self.capacity / 2)))
 
     def add_scalar(self, name: str, piece: Signal) -> None:
-        """Take a further part of an optional signal.
-
-        Parameters
-        ----------
-        name : str
-            Its field in :class:`~drive_id.types.Samples`.
-        piece : Signal
-            (N, 1) values.
-        """
+        """Take a further part, (N, 1) values, of an optional signal by its name in :class:`~drive_id.types.Samples`."""
         if name not in self._scalars:
             self._scalars[name] = ScalarTrack(piece.name, self.capacity)
         self._scalars[name].add(piece)
@@ -295,12 +255,7 @@ class StreamJoin:
     def finished(self) -> tuple[StreamJoin, list[Piece]]:
         """Join the rest as if nothing were to follow, without touching this stream.
 
-        Returns
-        -------
-        join : StreamJoin
-            The stream after its end, for :meth:`check` and :meth:`report`.
-        pieces : list of Piece
-            What was still waiting.
+        Returns the stream after its end, for :meth:`check` and :meth:`report`, and the pieces that were still waiting.
         """
         other = copy.copy(self)
         other.tracks = tuple(track.copy() for track in self.tracks)
@@ -309,9 +264,22 @@ class StreamJoin:
         return other, other.advance(final=True)
 
     def check(self) -> None:
-        """Raise what is wrong with the signals, see :func:`join`; call it on a finished stream.
+        """Raise what is wrong with the signals; call it on a finished stream.
 
-        Raises EmptyTopicError, NonFiniteError, StampOrderError, SamplePeriodError, NoOverlapError, DataError.
+        Raises
+        ------
+        EmptyTopicError
+            When a signal has no sample.
+        NonFiniteError
+            When a value is NaN or infinite.
+        StampOrderError
+            When more than 1 % of a signal would have to be cut out.
+        SamplePeriodError
+            When the periods of the signals, or the declared and the stamped one, differ by more than 1 %.
+        NoOverlapError
+            When nothing, or no run of a few samples, is common to the three.
+        DataError
+            When the stamps of two signals are not locked to each other, or lie half a period apart.
         """
         claims = [(f"{track.name} declares", track.period) for track in self.tracks if track.period]
         if len(claims) == len(self.tracks) and not any(track.fault for track in self.tracks):

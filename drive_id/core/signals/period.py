@@ -16,12 +16,9 @@ PERIOD_TOLERANCE = 0.01
 
 
 def measured_period(signal: Signal) -> float | None:
-    """Estimate the true sample period of a signal from the stamps of its messages.
+    """Estimate the true sample period of a signal, s, from the stamps of its messages; None with fewer than three.
 
-    Returns
-    -------
-    float or None
-        s; the mean over all neighbouring messages between which nothing is missing. ``None`` with fewer than three.
+    It is the mean over all neighbouring messages between which nothing is missing.
     """
     starts = np.arange(len(signal.stamp)) if signal.block_start is None else signal.block_start
     return usual_period(np.diff(signal.stamp[starts]), np.diff(starts))
@@ -30,10 +27,7 @@ def measured_period(signal: Signal) -> float | None:
 def usual_period(elapsed: IntArray, count: IntArray) -> float | None:
     """Estimate the sample period, s, from the times (B,), ns, and samples (B,) between neighbouring messages.
 
-    Returns
-    -------
-    float or None
-        ``None`` with fewer than two times that are positive.
+    None with fewer than two times that are positive.
     """
     forward = elapsed > 0
     elapsed, count = elapsed[forward], count[forward]

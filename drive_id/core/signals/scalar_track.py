@@ -82,10 +82,7 @@ class ScalarTrack:
     def decided(self, newest: int) -> int:
         """Return the stamp, ns, up to which nothing that may still arrive can change the signal.
 
-        Parameters
-        ----------
-        newest : int
-            Stamp of the newest sample of the currents, ns: what is older by twice the reach has waited long enough.
+        What is older than the newest sample of the currents, ns, by twice the reach has waited long enough.
         """
         overdue = newest - 2 * self.reach
         return overdue if self._latest is None or self._period is None else max(self._latest, overdue)

@@ -25,32 +25,18 @@ _OPEN_SAMPLES = 50_000
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """One recorded signal, in order of arrival.
+    """One recorded signal, in order of arrival."""
 
-    Parameters
-    ----------
-    name : str
-        Its topic, for messages.
-    stamp : (N,) int64
-        ns.
-    values : (N, K) float
-        SI units.
-    sample_period : float, optional
-        As declared by its messages or its owner, s. ``None``: estimated from the stamps.
-    block_start : (B,) int64, optional
-        Index of the first sample of each message, beginning with 0. ``None``: one sample per message. The stamps in
-        between follow from the declared period and thus say nothing about the true one.
-    lost, losses : int
-        Samples missing by the messages' own count, and the number of places where they are.
-    """
-
-    name: str
-    stamp: IntArray
-    values: FloatArray
+    name: str  # its topic, for messages
+    stamp: IntArray  # (N,), ns
+    values: FloatArray  # (N, K), SI units
     sample_period: float | None = None
+    """As declared by its messages or its owner, s. None: estimated from the stamps."""
     block_start: IntArray | None = None
-    lost: int = 0
-    losses: int = 0
+    """Index of the first sample of each message (B,), beginning with 0. None: one sample per message. The stamps in
+    between follow from the declared period and thus say nothing about the true one."""
+    lost: int = 0  # samples missing by the messages' own count
+    losses: int = 0  # places where they are
 
 
 def block_stamps(first: int, count: int, period: float) -> IntArray:
@@ -68,29 +54,16 @@ def finite_rows(values: FloatArray) -> BoolArray:
 class SampleCount:
     """Received and lost samples, by the running count in the blocks.
 
-    Parameters
-    ----------
-    samples : int
-        Received.
-    blocks : int
-        Received.
-    lost, losses : int
-        Samples missing between blocks, and the number of places. A block that arrives late and fills a loss undoes it.
-    restarts : int
-        Places where the count ran backwards: the publisher restarted, or there are two of them.
-    zeros : int
-        Blocks that begin with sample 0.
-    due : int or None
-        Number of the first sample of the next block; None before the first one.
+    A block that arrives late and fills a loss undoes it.
     """
 
-    samples: int = 0
-    blocks: int = 0
-    lost: int = 0
-    losses: int = 0
-    restarts: int = 0
-    zeros: int = 0
-    due: int | None = None
+    samples: int = 0  # received
+    blocks: int = 0  # received
+    lost: int = 0  # samples missing between blocks
+    losses: int = 0  # places where they are
+    restarts: int = 0  # places where the count ran backwards: the publisher restarted, or there are two of them
+    zeros: int = 0  # blocks that begin with sample 0
+    due: int | None = None  # first sample of the next block; None before the first one
     _open: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_OPEN_LOSSES))
 
     def add(self, first_sample: int, samples: int) -> None:

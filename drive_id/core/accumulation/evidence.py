@@ -122,14 +122,9 @@ class Evidence:
     ) -> None:
         """Accumulate further samples.
 
-        Parameters
-        ----------
-        done : callable, optional
-            Told after each part how many of them are done.
-        continues : bool
-            They continue the previous piece and begin with its last sample, which counts once.
-        prompt : bool
-            Leave no products for the fit to form, see :meth:`~drive_id.core.full.window_sums.WindowSums.add`.
+        With ``continues``, they continue the previous piece and begin with its last sample, which counts once. ``done``
+        is told after each part how many of them are done; ``prompt`` leaves no products for the fit to form, see
+        :meth:`~drive_id.core.full.window_sums.WindowSums.add`.
         """
         new = slice(1, None) if continues else slice(None)
         i_dq = frames.to_dq(samples.i_abc, samples.angle)
@@ -171,17 +166,10 @@ class Evidence:
         return idle
 
     def copy(self, settings: FitSettings | None = None) -> Evidence:
-        """Return an independent copy; finished blocks are shared.
+        """Return an independent copy, perhaps for another method; finished blocks are shared.
 
-        Parameters
-        ----------
-        settings : FitSettings, optional
-            Another method; all other settings that shape the sums must be equal.
-
-        Raises
-        ------
-        ConfigurationError
-            When the other method needs sums that were not accumulated, or sums nothing over samples.
+        All other settings that shape the sums must be equal. Raises ConfigurationError when the other method needs sums
+        that were not accumulated, or sums nothing over samples.
         """
         other = copy.copy(self)
         other.settings = settings or self.settings

@@ -129,16 +129,10 @@ class FullMethod:
 
 @dataclass(frozen=True, eq=False)
 class TrueFrame:
-    """The fitted maps as functions of the true current, corrected for the resolver's offset.
-
-    Parameters
-    ----------
-    angle : float
-        Measured minus true electrical angle, rad.
-    """
+    """The fitted maps as functions of the true current, corrected for the resolver's offset."""
 
     fit: FullFit
-    angle: float
+    angle: float  # measured minus true electrical angle, rad
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_dq (..., 2), Wb, averaged over the rotor position, at currents (..., 2), A."""

@@ -36,61 +36,29 @@ some act over whole recordings and are left out for mere pieces."""
 
 @dataclass(frozen=True, eq=False)
 class SimulationModel:
-    """The identified drive as :func:`~drive_id.core.validation.current_simulation.simulate_current` takes it.
-
-    Parameters
-    ----------
-    gamma : (P,) float
-        Parameters of the mean map, Wb.
-    harmonics : mapping of int to ((P,) float, (P,) float)
-        Amplitudes of cosine and sine of each electrical order, Wb.
-    drop : (C,) float, (C,) float
-        Equally spaced phase currents, A, and the inverter's drop there, V.
-    effects : callable, optional
-        Gives what effects beside this model take.
-    """
+    """The identified drive as :func:`~drive_id.core.validation.current_simulation.simulate_current` takes it."""
 
     model: TensorSpline
-    gamma: FloatArray
-    harmonics: Mapping[int, tuple[FloatArray, FloatArray]]
-    drop: tuple[FloatArray, FloatArray]
-    effects: EffectVoltages | None = None
+    gamma: FloatArray  # (P,), parameters of the mean map, Wb
+    harmonics: Mapping[int, tuple[FloatArray, FloatArray]]  # order to cosine and sine, (P,) each, Wb
+    drop: tuple[FloatArray, FloatArray]  # (C,) each, equally spaced phase currents, A, and the inverter's drop there, V
+    effects: EffectVoltages | None = None  # what effects beside this model take
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate(Parameters):
-    """What a method finds: the parameters, the map on the grid of the visits, and how good they are.
+    """What a method finds: the parameters, the map on the grid of the visits, and how good they are."""
 
-    Parameters
-    ----------
-    psi, sigma : (D, Q, 2) float
-        Flux map on the grid of the visits and its standard error, Wb; sigma is NaN where there are no data.
-    positive_definite : callable
-        Tells (N,) at which currents (N, 2), A, the inductance matrix is positive definite.
-    report : FitReport
-        As far as the method knows it.
-    unexplained : float
-        Rms residual over the rms of all integrated voltages.
-    outlying_time : float or None
-        Where samples stand out from all others, in time of data, s.
-    warnings : tuple of Message
-        Of this method only.
-    harmonics : tuple of (int, (D, Q, 2) float, (D, Q, 2) float)
-        Order, and amplitudes of cosine and sine, Wb.
-    fit : EarlierFit or None
-        What a fit of further samples can take over; only of method ``full``.
-    """
-
-    psi: FloatArray
-    sigma: FloatArray
+    psi: FloatArray  # (D, Q, 2), on the grid of the visits, Wb
+    sigma: FloatArray  # (D, Q, 2), standard error, Wb; NaN where there are no data
     simulation: SimulationModel
-    positive_definite: Callable[[FloatArray], BoolArray]
-    report: FitReport
-    unexplained: float
-    outlying_time: float | None
-    warnings: tuple[Message, ...]
-    harmonics: tuple[tuple[int, FloatArray, FloatArray], ...] = ()
-    fit: EarlierFit | None = None
+    positive_definite: Callable[[FloatArray], BoolArray]  # (N,), of inductances at currents (N, 2), A
+    report: FitReport  # as far as the method knows it
+    unexplained: float  # rms residual over the rms of all integrated voltages
+    outlying_time: float | None  # where samples stand out from all others, in time of data, s
+    warnings: tuple[Message, ...]  # of this method only
+    harmonics: tuple[tuple[int, FloatArray, FloatArray], ...] = ()  # order, cosine and sine (D, Q, 2), Wb
+    fit: EarlierFit | None = None  # what a fit of further samples can take over; only of method full
 
 
 class Method(Protocol):
@@ -101,19 +69,8 @@ class Method(Protocol):
         """When to warn."""
 
     def conclude(self, evidence: Evidence, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
-        """Estimate maps and parameters.
+        """Estimate maps and parameters; data support the map where ``inside`` (D, Q) on the grid of the visits.
 
-        Parameters
-        ----------
-        evidence : Evidence
-            Of all samples.
-        inside : (D, Q) bool
-            Where on the grid of the visits data support the map.
-        earlier : EarlierFit, optional
-            By the same settings from most of these samples: method ``full`` takes its selection over.
-
-        Raises
-        ------
-        DataError
-            When there are too few data for this method.
+        ``earlier`` is a fit by the same settings from most of these samples, whose selection method ``full`` takes
+        over. Raises DataError when there are too few data for this method.
         """

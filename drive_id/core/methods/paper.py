@@ -42,15 +42,9 @@ _LIMITS = Limits(unexplained=0.6, refused=0.8, mad=np.inf)  # noise leaves up to
 
 @dataclass(frozen=True)
 class PaperMethod:
-    """``eq:ls_regression``, accumulated per block of time.
+    """``eq:ls_regression``, accumulated per block of time."""
 
-    Parameters
-    ----------
-    inverter : bool
-        Whether the voltage error is an unknown.
-    """
-
-    inverter: bool
+    inverter: bool  # whether the voltage error is an unknown
     limits: Limits = _LIMITS
 
     def conclude(
@@ -186,22 +180,13 @@ def _on_noise(evidence: Evidence) -> Iterator[Message]:
 
 
 def mirror_asymmetry(evidence: Evidence, gamma: FloatArray, inside: BoolArray) -> float:
-    """Return how far a map is from psi_d(i_d, -i_q) = psi_d, psi_q(i_d, -i_q) = -psi_q.
+    """Return how far a map of parameters (P,), Wb, is from psi_d(i_d, -i_q) = psi_d, psi_q(i_d, -i_q) = -psi_q.
 
     An offset of the angle turns map and currents together, which no voltage shows; in a symmetric machine's map it
     breaks the symmetry.
 
-    Parameters
-    ----------
-    gamma : (P,) float
-        Wb.
-    inside : (D, Q) bool
-        Where there are data; points without data at their mirror image are skipped.
-
-    Returns
-    -------
-    float
-        Larger one of the root mean square differences of both fluxes, over the largest flux; 0 without mirrored points.
+    It is the larger one of the root mean square differences of both fluxes, over the largest flux. Points without data
+    (``inside`` (D, Q)) at their mirror image are skipped; 0 without mirrored points.
     """
     grid = evidence.visits.grid()
     i_dq = grid[inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)]

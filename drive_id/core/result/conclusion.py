@@ -45,20 +45,9 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
 def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclusion | None = None) -> Conclusion:
     """Estimate by the method of the settings, simulate the currents, and judge the result.
 
-    Parameters
-    ----------
-    evidence : Evidence
-        Of all samples.
-    validation : sequence of Samples
-        Samples whose currents are simulated for the MAD; NaN without any.
-    earlier : Conclusion, optional
-        By the same settings from most of these samples: its MAD, and what method full selected and found about its
-        errors, are taken over.
-
-    Raises
-    ------
-    CoverageError, UnexplainedError, DataError
-        When these samples cannot give a trustworthy map.
+    The currents of the validation samples are simulated for the MAD; NaN without any. From an earlier conclusion, by
+    the same settings from most of these samples, the MAD, and what method full selected and found about its errors, are
+    taken over. Raises CoverageError, UnexplainedError, DataError when these samples cannot give a trustworthy map.
     """
     inside, coverage = evidence.inside(), evidence.coverage()
     check_radius(evidence, coverage)

@@ -65,12 +65,7 @@ def with_mechanics(
 ) -> IdentifiedDrive:
     """Return the drive with the mechanics of its free shaft; the same drive if its torque does not move the shaft.
 
-    Parameters
-    ----------
-    pole_pairs : int or None
-        None when unknown: then there are no mechanics.
-    settings : FitSettings
-        For ``inertia`` and ``added_inertia``.
+    There are no mechanics without pole pairs. Of the settings, ``inertia`` and ``added_inertia`` count.
     """
     if pole_pairs is None or not excerpts:
         return drive
@@ -105,21 +100,9 @@ def fit_mechanics(
 ) -> Mechanics | None:
     """Fit inertia, friction, load and cogging to the motion.
 
-    Parameters
-    ----------
-    discs : sequence of float, optional
-        Inertia added in each piece, kg m^2. Default: none.
-    inertia : float, optional
-        Known inertia without discs, kg m^2.
-    modes : ErrorModes, optional
-        Of the map. Without them, its errors count for each term as if they all fell on it.
-    harmonics : sequence of HarmonicMap, optional
-        Of the rotor position.
-
-    Returns
-    -------
-    Mechanics or None
-        None if the torque of the map does not explain the motion, as with a load machine, or with too little data.
+    Takes the inertia added in each piece (default: none) and the known inertia without discs, kg m^2, joint errors and
+    rotor-position harmonics of the map. Without the joint errors, its errors count for each term as if they all fell on
+    it. None if the torque of the map does not explain the motion, as with a load machine, or with too little data.
     """
     known = flux_map, pieces, pole_pairs, discs or (0.0,) * len(pieces), inertia
     # most shafts are held: no need to wait until scipy is loaded
@@ -288,25 +271,13 @@ def _torque(
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """A gap-free run under bells.
-
-    Parameters
-    ----------
-    samples : Samples
-    bell : (2 H + 3,) float
-    stride : int
-        Samples from one bell to the next.
-    rows : (W, C) float
-        See the columns above.
-    kept : (W,) bool
-        The rows that enter.
-    """
+    """A gap-free run under bells."""
 
     samples: Samples
-    bell: FloatArray
-    stride: int
-    rows: FloatArray
-    kept: NDArray[np.bool_]
+    bell: FloatArray  # (2 H + 3,)
+    stride: int  # samples from one bell to the next
+    rows: FloatArray  # (W, C), see the columns above
+    kept: NDArray[np.bool_]  # (W,), the rows that enter
 
     @classmethod
     def of(

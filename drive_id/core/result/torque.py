@@ -31,10 +31,7 @@ _SAMPLES_PER_PERIOD = 8.0
 def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs: int | None) -> IdentifiedDrive:
     """Return the drive with what the shaft torque in the excerpts says of it; the same drive where there is none.
 
-    Parameters
-    ----------
-    pole_pairs : int or None
-        None when unknown: a statement then says so.
+    Without pole pairs, a statement says that they are unknown.
     """
     pieces = [piece for piece in excerpts if piece.shaft_torque is not None]
     if not pieces:
@@ -55,20 +52,11 @@ def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs:
 
 @one_blas_thread()
 def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) -> TorqueFit | None:
-    """Fit gain, friction and cogging to the shaft torque.
+    """Fit gain, friction and cogging to the shaft torque of those pieces that have one.
 
     Linear least squares over sums per block of time, so that memory does not grow with the samples. Standard errors
     come from the scatter between the blocks, because neighbouring residuals are correlated, and from those of the map.
-
-    Parameters
-    ----------
-    pieces : sequence of Samples
-        Those with a shaft torque count.
-
-    Returns
-    -------
-    TorqueFit or None
-        None with too few samples of known torque within the map.
+    None with too few samples of known torque within the map.
     """
     total = sum(len(piece) for piece in pieces)
     size = max(total // _BLOCKS, 1)

@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
 
 DOMAIN_MARGIN = 1.05
 """Half width of the map by the i_max that is set."""
-_IDLE_CURRENT = 0.02
+_IDLE_CURRENT = 0.02  # of i_max, below which the drive rests
 _SHAPING = (
     "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale", "longest_rest",
     "harmonic_orders", "grid_points",

@@ -29,23 +29,25 @@ from drive_id.errors import DataError
 from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
 
-_FINE, _FINEST, _DENSITY = 72, 200, 2
-"""Splines per axis of the map for simulation and queries, at least and at most, and points per spline that they fit."""
+_FINE = 72  # splines per axis of the map for simulation and queries, at least
+_FINEST = 200  # the same, at most
+_DENSITY = 2  # points per spline that they fit
 _POINTS = 256
 """Points of the map per batch of standard errors."""
 _AVERAGED = 4
 """Samples over which the simulation averages the voltage that effects take."""
-_OUTLYING_BATCH, _LEAST_OUTLYING = 20.0, 0.01
-_LEAST_TURN = 0.75
-"""Share of a window's angle."""
-_FEW_POINTS = 0.005
-_LARGE_SIGMA = 0.01
+_OUTLYING_BATCH = 20.0  # mean square residual of a batch of time over the median from which on its time is told
+_LEAST_OUTLYING = 0.01  # the same rms, over the voltages
+_LEAST_TURN = 0.75  # of a window's angle and duration: shorter ones do not rotate slowly
+_FEW_POINTS = 0.005  # share of the map's points that may be uncertain
+_LARGE_SIGMA = 0.01  # standard error over the largest flux of an uncertain point
 _LARGE_SHARE = 0.01
 """Of R, by which the shape of a wide inverter curve changes R."""
-_LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
+_LARGE_OFFSET = 0.005  # of a current sensor, in i_max, for a warning
+_LARGE_MISMATCH = 0.01  # of gains, for a warning
 _LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy="passive_maps", impossible=True)
-_FEW_COVERED, _WHOLE_DISC = 0.5, 0.02
-"""Share of the disc with data below which more of it helps most, and share without data up to which it is whole."""
+_FEW_COVERED = 0.5  # share of the disc with data below which more of it helps most
+_WHOLE_DISC = 0.02  # share of the disc without data up to which it is whole
 
 
 @dataclass(frozen=True)

@@ -26,17 +26,15 @@ from drive_id.types import BoolArray, FloatArray
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
     from drive_id.core.full.fit import EarlierFit
 
-_WEAK_COEFFICIENT = 0.1
-_FINE_COUNT = 24
-_AT_A_TIME = 512
-_TANH_REACH, _TANH_POINTS = 10.0, 4001
-"""The drop is simulated as a curve over so many i_s to both sides: 1 - tanh(10) is 4e-9, and linear pieces of
-0.005 i_s are off by less than 3e-6 u_e."""
-
-_LARGE_NOISE = 0.1
-_LARGE_ASYMMETRY = 0.1
-_FEW_BLOCKS = 8
-_OUTLYING_BLOCK = 10.0
+_WEAK_COEFFICIENT = 0.1  # standard error over the largest flux from which on a coefficient is replaced by continuation
+_FINE_COUNT = 24  # splines per axis, at least, with which polynomials are simulated
+_AT_A_TIME = 512  # points of the map, which bounds the memory of dense rows
+_TANH_REACH = 10.0  # i_s to both sides over which the drop is simulated as a curve: 1 - tanh(10) is 4e-9
+_TANH_POINTS = 4001  # of it: linear pieces of 0.005 i_s are off by less than 3e-6 u_e
+_LARGE_NOISE = 0.1  # energy that noise adds to the differences of functions, over that of their rotation
+_LARGE_ASYMMETRY = 0.1  # over the largest flux
+_FEW_BLOCKS = 8  # of which none stands out
+_OUTLYING_BLOCK = 10.0  # energy of the residuals of a block that stands out, over the median
 _LIMITS = Limits(unexplained=0.6, refused=0.8, mad=np.inf)  # noise leaves up to half of it per sample
 
 

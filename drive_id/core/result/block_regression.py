@@ -10,7 +10,7 @@ from drive_id.types import FloatArray
 
 SIGNIFICANT = 30.0
 """Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
-_SAME_GAIN = 2e-3
+_SAME_GAIN = 2e-3  # difference from 1 that is none, however small its standard error
 _LARGEST_LEVERAGE = 0.98
 """Of a block, beyond which its residual is all rounding."""
 

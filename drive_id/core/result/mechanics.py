@@ -28,15 +28,15 @@ _Flux = Callable[[FloatArray, FloatArray], FloatArray]
 
 ORDERS = (6, 12, 18, 24)
 """Electrical orders of cogging that are looked for."""
-_SHORTEST, _LONGEST = 4e-3, 0.1
-"""Bounds of the width of the bell, s."""
+_SHORTEST = 4e-3  # width of the bell, s, at least
+_LONGEST = 0.1  # at most
 _BELLS = 8
 """Bells per width: neighbours overlap."""
 _SWEEP = 0.06
 """Half the frequency at which i_d sweeps the disc, relative to that of the torque: what errors of the map leave repeats
 with the sweep, and is no scatter."""
-_FEWEST, _MOST = 8, 40
-"""Cosines below that frequency by which the scatter is estimated."""
+_FEWEST = 8  # cosines below that frequency by which the scatter is estimated, at least
+_MOST = 40  # at most
 _OUTSIDE = 0.05
 """Share of a bell in which the current may lie beyond the data of the map, where its continuation is taken."""
 _RESTING = 0.02
@@ -53,7 +53,7 @@ _COMMON = 1e-4
 """What method full leaves in the size common to all fluxes of simulated drives, and no standard error holds."""
 _LEAST_WAVE = 0.05
 """Rms of a harmonic under the bells below which it has averaged out."""
-_SAME_SPEED = 1.2
+_SAME_SPEED = 1.2  # fastest over slowest speed up to which viscous friction is not told from Coulomb's
 _LEAST_VARIATION = 0.05
 """Variation of the squared flux from which on the drag of iron loss is told from viscous friction."""
 _LEAST_TURN = 2 * math.pi

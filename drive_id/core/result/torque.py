@@ -22,8 +22,8 @@ _BLOCKS = 40
 """Blocks of time, about, between which the residuals scatter."""
 _FEWEST_BLOCKS = 8
 """Blocks below which their scatter is no standard error."""
-_LARGEST_GAIN_ERROR = 0.05
-_SPEEDS_APART = 1.2
+_LARGEST_GAIN_ERROR = 0.05  # beyond which a warning says so
+_SPEEDS_APART = 1.2  # fastest over slowest speed from which on viscous friction is told from Coulomb's
 _SAMPLES_PER_PERIOD = 8.0
 """Samples of the torque signal per period of the highest order, so that interpolation takes away less than 5 %."""
 

@@ -13,17 +13,18 @@ from drive_id.core.result.identification import FluxMap
 from drive_id.messages import Message
 from drive_id.types import FloatArray
 
-_REVERSED = 0.1
-_FEW_POINTS = 0.005
+_REVERSED = 0.1  # magnet flux against the d axis, over the largest flux
+_FEW_POINTS = 0.005  # share of the map's points whose inductances may be indefinite
 _IMPOSSIBLE = 3.0
 """Standard errors below zero at which a resistance is impossible: by chance one fit in 700 of a machine without any."""
 _FAR_OFF = np.deg2rad(19.0)
 """Correction of the angle at the end of the range that is searched."""
-_INDEFINITE, _INDEFINITE_IN_ITSELF = 0.1, 0.25
-"""Shares of the map without positive definite inductances at which it is condemned, with a simulation that diverges and
-without. Of 288 random drives one is above 0.04: 0.48, with 57 % of flux error."""
-_DECIMATED, _DECIMATED_TURN = (-0.55, -0.22), np.deg2rad(4.0)
-"""Delays of the voltages, samples, of a log with every n-th sample, -(n - 1)/(2 n), and the least turn per sample."""
+_INDEFINITE = 0.1
+"""Share of the map without positive definite inductances at which it is condemned, with a simulation that diverges. Of
+288 random drives one is above 0.04: 0.48, with 57 % of flux error."""
+_INDEFINITE_IN_ITSELF = 0.25  # the same without such a simulation
+_DECIMATED = (-0.55, -0.22)  # delays of the voltages, samples, of a log with every n-th sample: -(n - 1)/(2 n)
+_DECIMATED_TURN = np.deg2rad(4.0)  # per sample, at least
 
 
 def review(

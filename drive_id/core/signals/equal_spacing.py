@@ -15,7 +15,7 @@ _FEWEST = 16
 """Least number of them: their median must not be that of a few late ones."""
 _SUSPECT = 1.5
 """Samples of time without a message from which a gap is suspected."""
-_OUTLYING = 4.0
+_OUTLYING = 4.0  # standard deviations by which a message is delayed that does not count for the period
 
 
 @dataclass(frozen=True, eq=False)

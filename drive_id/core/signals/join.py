@@ -32,8 +32,8 @@ SHORTEST_RUN = 4
 """Fewest samples of a gap-free run that is kept."""
 ToPhases = Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]
 """Turns recorded values into phase quantities, see :class:`StreamJoin`."""
-_LOCKING_PAIRS = 1000
-_UNLIMITED = 1 << 62
+_LOCKING_PAIRS = 1000  # on which the offset between live signals is measured
+_UNLIMITED = 1 << 62  # samples
 _FEW_JOINED = 0.9
 """Share of the samples that found partners below which that is reported."""
 _Rows = list[NDArray[Any]]

@@ -9,8 +9,8 @@ import numpy as np
 from drive_id.errors import DataError
 from drive_id.types import BoolArray, IntArray
 
-_LEAST_DIRECTION = 0.5
-_LARGEST_OFFSET = 0.45
+_LEAST_DIRECTION = 0.5  # length of the mean unit vector: 1 for a constant offset, 0 for one that wanders over a period
+_LARGEST_OFFSET = 0.45  # in sample periods: at half of one, the order is a guess
 
 
 def nearest(clock: IntArray, stamp: IntArray) -> IntArray:

@@ -9,7 +9,7 @@ import numpy as np
 from drive_id.core.signals.signal import Signal
 from drive_id.types import FloatArray
 
-_FEWEST = 5
+_FEWEST = 5  # samples to which parabolas are fitted
 
 
 def smoothed_rotor(rotor: Signal, duration: float) -> tuple[Signal, float]:

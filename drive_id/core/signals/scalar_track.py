@@ -11,7 +11,7 @@ from drive_id.types import FloatArray, IntArray
 
 SHORTEST_REACH = 2.0
 """Least time for which a value is held where the signal begins, ends or has a gap, s."""
-_REACH_PERIODS = 3
+_REACH_PERIODS = 3  # of the signal for which a value is held
 
 
 class ScalarTrack:

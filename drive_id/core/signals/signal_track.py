@@ -15,8 +15,8 @@ from drive_id.errors import DataError, EmptyTopicError, NonFiniteError, SamplePe
 from drive_id.messages import Message
 from drive_id.types import FloatArray, IntArray
 
-_SAME_PERIOD = 1e-6
-_SPACINGS = 1000
+_SAME_PERIOD = 1e-6  # relative change of a declared period that is rounding
+_SPACINGS = 1000  # times between the latest messages of a live signal, for its measured period
 _LARGE_OFFSET = 0.25
 """Of stamps from those of the currents, in sample periods, that is reported."""
 MOST_HELD = 20_000

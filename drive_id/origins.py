@@ -34,8 +34,8 @@ class Origin:
         Whether the standard errors hold for inductances away from zero current, too: others miss the bias there.
     diagnostics : bool
         Whether results have residuals over time and angle, a simulated current, and other methods beside them.
-    live : bool
-        Whether it sums over samples, so that it serves live samples and information files.
+    live, windows : bool
+        Whether it sums over samples, so that it serves live samples and information files, and over windows as well.
     no_inverter, no_diagnostics : str
         Why these are missing; empty where they are not.
     limits : tuple of str
@@ -60,6 +60,7 @@ class Origin:
     slopes: bool = False
     diagnostics: bool = True
     live: bool = True
+    windows: bool = False
     no_inverter: str = ""
     no_diagnostics: str = ""
     limits: tuple[str, ...] = ()
@@ -139,6 +140,7 @@ FULL: Final = Origin(
     ),
     harmonics=True,
     slopes=True,
+    windows=True,
     limits=(_LINEAR_PART, *_OF_THE_DATA, _RECIPROCAL),
     reference=_PAPER,
     ignores=(*_OF_PAPER, "rows_are_points"),

@@ -49,8 +49,8 @@ CORE = {  # each with the rooms of core that it may import
     "full": {"frames", "fit_settings", "maps", "numerics"},
     "validation": {"frames", "maps", "numerics"},
     "steady": {"frames", "maps", "numerics"},
-    "methods": {"fit_settings", "paper", "full", "validation", "maps", "numerics"},
-    "accumulation": {"frames", "fit_settings", "methods", "maps", "numerics", "signals"},
+    "accumulation": {"frames", "fit_settings", "paper", "full", "maps", "numerics", "signals"},
+    "methods": {"accumulation", "paper", "full", "validation", "maps", "numerics"},
     "checks": {"accumulation", "frames", "fit_settings", "maps", "numerics", "signals"},
     "result": {
         "checks", "accumulation", "methods", "validation", "paper", "full", "maps", "numerics", "frames",

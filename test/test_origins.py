@@ -9,8 +9,8 @@ import pytest
 from steady_state import LinearDrive, disc_points, telemetry
 
 import drive_id
+from drive_id.core.accumulation.evidence import Evidence, check_live
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.methods.registry import method_named
 from drive_id.errors import ConfigurationError, ResultError
 from drive_id.exchange.imports.importing import import_map
 from drive_id.exchange.imports.source import Source
@@ -138,10 +138,11 @@ def test_the_table_is_that_of_all_origins(results):
 @pytest.mark.parametrize("name", ORIGINS)
 def test_only_live_methods_sum_over_samples(name):
     if ORIGINS[name].live:
-        assert method_named(name).windows == (name == "full")
+        evidence = Evidence.within(FitSettings(name), 100.0)
+        assert (evidence.windows is not None) == ORIGINS[name].windows == (name == "full")
         return
     with pytest.raises(ConfigurationError, match="not accumulated or live samples"):
-        method_named(name)
+        check_live(name)
 
 
 def test_an_unknown_origin_is_refused(results, tmp_path):

@@ -35,20 +35,15 @@ class FitSettings(Checked):
     polynomial_degree: int = setting(5, "total degree of the polynomial flux model", minimum=1, maximum=12)
     inverter_current_scale: float = setting(1.0, "i_s in u_e tanh(i / i_s)", unit="A", minimum=1e-6, maximum=1e6)
     i_max: float | None = setting(
-        None,
-        "radius of the current disc; default: that of the recorded references, or the largest measured amplitude",
-        unit="A",
-        minimum=1e-3,
-        maximum=1e6,
-    )
+        None, "radius of the current disc; default: that of the recorded references, or the largest measured amplitude",
+        unit="A", minimum=1e-3, maximum=1e6,
+    )  # fmt: skip
     longest_rest: float = setting(
         0.02,
         "samples after a longer rest below 2 % of i_max are left out: there the steep foot of the inverter's curve "
         "turns current noise into voltage",
-        unit="s",
-        minimum=0.0,
-        maximum=1e6,
-    )
+        unit="s", minimum=0.0, maximum=1e6,
+    )  # fmt: skip
     maps: str = setting(
         "auto",
         "full: reciprocal maps are gradients of a co-energy, free maps are not; auto: reciprocal unless the data "
@@ -72,29 +67,20 @@ class FitSettings(Checked):
     calibrate_angle: bool = setting(True, "full: whether to estimate the resolver's offset from the mirror symmetry")
     calibrate_currents: bool = setting(True, "full: whether to estimate offsets and gain mismatch of the currents")
     temperatures: tuple[float, ...] = setting(
-        (),
-        "full: temperature of each recording, in order; resistance and map then hold at 20 degrees Celsius",
-        unit="degC",
-        minimum=-100.0,
-        maximum=300.0,
-    )
+        (), "full: temperature of each recording, in order; resistance and map then hold at 20 degrees Celsius",
+        unit="degC", minimum=-100.0, maximum=300.0,
+    )  # fmt: skip
     u_dc: tuple[float, ...] = setting(
         (), "full: DC-link voltage of each recording, in order", unit="V", minimum=1e-3, maximum=1e6
     )
     u_dc_reference: float | None = setting(
-        None,
-        "full: DC-link voltage at which the inverter's curve holds; default: that of the first recording",
-        unit="V",
-        minimum=1e-3,
-        maximum=1e6,
-    )
+        None, "full: DC-link voltage at which the inverter's curve holds; default: that of the first recording",
+        unit="V", minimum=1e-3, maximum=1e6,
+    )  # fmt: skip
     voltage_delay: float = setting(
-        0.0,
-        "full: known delay of the voltages after their stamps, used when it is not estimated",
-        unit="samples",
-        minimum=-4.0,
-        maximum=4.0,
-    )
+        0.0, "full: known delay of the voltages after their stamps, used when it is not estimated",
+        unit="samples", minimum=-4.0, maximum=4.0,
+    )  # fmt: skip
     rows_are_points: bool = setting(
         False, "static: whether each sample of the log is an operating point already, such as a mean of a test plan"
     )
@@ -108,18 +94,14 @@ class FitSettings(Checked):
     inertia: float | None = setting(
         None,
         "inertia of a free shaft, where it is known by design, without added_inertia: it closes the common gain",
-        unit="kg m^2",
-        minimum=1e-9,
-        maximum=1e6,
-    )
+        unit="kg m^2", minimum=1e-9, maximum=1e6,
+    )  # fmt: skip
     added_inertia: tuple[float, ...] = setting(
         (),
         "inertia added to a free shaft in each recording, in order, 0 for none: two different ones close the common "
         "gain",
-        unit="kg m^2",
-        minimum=0.0,
-        maximum=1e6,
-    )
+        unit="kg m^2", minimum=0.0, maximum=1e6,
+    )  # fmt: skip
     grid_points: int = setting(65, "points of the map along each axis", minimum=9, maximum=1025)
     machine: str = setting("", "name of the machine, for titles and captions; default: that of a simulation")
     serial: str = setting("", "serial number of the machine")
@@ -133,12 +115,7 @@ class FitSettings(Checked):
         return [name for name in ORIGINS[self.method].ignores if getattr(self, name) != getattr(defaults, name)]
 
     def check_recordings(self, count: int) -> None:
-        """Check that temperatures and DC-link voltages match the number of recordings.
-
-        Raises
-        ------
-        ConfigurationError
-        """
+        """Raise ConfigurationError unless temperatures and DC-link voltages match the number of recordings."""
         for name in ("temperatures", "u_dc", "added_inertia"):
             given = len(getattr(self, name))
             if given not in {0, count}:
@@ -154,10 +131,7 @@ class FitSettings(Checked):
     def of_recording(self, number: int) -> FitSettings:
         """Return the settings for one recording that will be merged with others.
 
-        Raises
-        ------
-        ConfigurationError
-            When conditions are given, but none for this recording.
+        Raises ConfigurationError when conditions are given, but none for this recording.
         """
         for name in ("temperatures", "u_dc"):
             if getattr(self, name) and number >= len(getattr(self, name)):

@@ -64,17 +64,9 @@ def as_pairs(x: ComplexArray) -> FloatArray:
 
 
 def rotation_integrals(turn: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the zeroth and first moment of the rotation over one sample.
+    """Return the zeroth and first moment, (N,) each, of the rotation over one sample, by the angle turned in it, rad.
 
-    Parameters
-    ----------
-    turn : (N,) float
-        Angle turned during the sample, omega T, rad.
-
-    Returns
-    -------
-    (N,) complex, (N,) complex
-        ``int_0^1 e^{-j turn s} ds`` and ``int_0^1 s e^{-j turn s} ds``, dimensionless.
+    They are ``int_0^1 e^{-j turn s} ds`` and ``int_0^1 s e^{-j turn s} ds``, dimensionless.
     """
     half = 0.5 * np.asarray(turn, dtype=np.float64)
     small = np.abs(half) < _SERIES_BELOW
@@ -88,21 +80,10 @@ def rotation_integrals(turn: FloatArray) -> tuple[ComplexArray, ComplexArray]:
 
 
 def integrate_held(u_abc: FloatArray, angle: FloatArray, speed: FloatArray, period: float) -> FloatArray:
-    """Integrate K u_abc over each sample, u_abc held in the stator frame: ``eq:udq_quadrature``.
+    """Integrate K u_abc over each sample, u_abc held in the stator frame: ``eq:udq_quadrature``, the paper's v.
 
-    Parameters
-    ----------
-    u_abc : (N, 3) float
-        Held phase voltages, V.
-    angle, speed : (N,) float
-        At the start of the sample, rad and rad/s.
-    period : float
-        T, s.
-
-    Returns
-    -------
-    (N, 2) float
-        The paper's ``v``, Vs.
+    Takes held phase voltages (N, 3), V, angle (N,), rad, and speed (N,), rad/s, at the start of each sample, and the
+    period T, s; returns (N, 2), Vs.
     """
     zeroth, _ = rotation_integrals(speed * period)
     return as_pairs(period * zeroth * space_vector(u_abc) * np.exp(-1j * angle))
@@ -111,19 +92,8 @@ def integrate_held(u_abc: FloatArray, angle: FloatArray, speed: FloatArray, peri
 def integrate_linear(i_abc: FloatArray, angle: FloatArray, speed: FloatArray, period: float) -> FloatArray:
     """Integrate K i_abc over each sample, i_abc linear between samples: ``eq:idq_quadrature``, starting from i^k.
 
-    Parameters
-    ----------
-    i_abc : (N + 1, 3) float
-        Phase currents at the ends of N samples, A.
-    angle, speed : (N,) float
-        At the start of the sample, rad and rad/s.
-    period : float
-        T, s.
-
-    Returns
-    -------
-    (N, 2) float
-        The paper's ``q_1``, As.
+    Takes the phase currents (N + 1, 3), A, at the ends of N samples, all else as :func:`integrate_held`; returns the
+    paper's q_1, (N, 2), As.
     """
     zeroth, first = rotation_integrals(speed * period)
     i_s = space_vector(i_abc)

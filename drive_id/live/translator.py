@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin
-from drive_id.core.signals.join_report import JoinReport
+from drive_id.core.signals.join import SECTIONS, JoinReport, Piece, StreamJoin
 from drive_id.core.signals.signal import Signal, block_stamps
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.message_reader import DECODE_ERRORS, MessageSamples, Reader, message_reader

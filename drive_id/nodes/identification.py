@@ -14,8 +14,8 @@ from drive_id_msgs.srv import Command, Identify
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import PointCloud2
 
+from drive_id.core.accumulation.evidence import check_live
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.methods.registry import method_named
 from drive_id.errors import InactiveError
 from drive_id.health import Health, Level
 from drive_id.live.identification.identification_settings import IdentificationSettings
@@ -67,7 +67,7 @@ class IdentificationNode(ManagedNode):
         self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED)
         self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
         # A method that live samples cannot serve is refused.
-        on_change(self, FitSettings, lambda settings: method_named(settings.method), self._on_settings)
+        on_change(self, FitSettings, lambda settings: check_live(settings.method), self._on_settings)
         self._topics = LiveTopics(self, self._identifier, self._inbox, settings.signals)
         self.paced.create(Command, "~/reset", self._on_reset)
         self._server = RequestServer(

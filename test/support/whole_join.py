@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.core.signals.join import SHORTEST_RUN, JoinResult
-from drive_id.core.signals.join_report import JoinReport, SignalReport
+from drive_id.core.signals.join import SHORTEST_RUN
 from drive_id.core.signals.matching import Phase, partners
-from drive_id.core.signals.period import check_agreement, declared_periods, measured_period
+from drive_id.core.signals.period import check_agreement, measured_period
 from drive_id.core.signals.signal import LARGEST_CUT, Signal, finite_rows
 from drive_id.errors import EmptyTopicError, NonFiniteError, NoOverlapError, SamplePeriodError, StampOrderError
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
@@ -36,7 +35,18 @@ class _Match:
     offset: int
 
 
-def whole_join(currents: Signal, voltages: Signal, resolver: Signal, references: Signal | None = None) -> JoinResult:
+@dataclass(frozen=True, eq=False)
+class WholeJoin:
+    """Joined samples; number of breaks, time between the runs, s, and per signal what was cut and its offset, ns."""
+
+    samples: Samples
+    gaps: int
+    time_lost: float
+    ordered: list[Ordered]
+    offsets: tuple[int, ...]
+
+
+def whole_join(currents: Signal, voltages: Signal, resolver: Signal, references: Signal | None = None) -> WholeJoin:
     signals = (currents, voltages, resolver)
     for signal in signals:
         check_values(signal)
@@ -63,12 +73,8 @@ def whole_join(currents: Signal, voltages: Signal, resolver: Signal, references:
         run_starts=starts,
         i_dq_reference=None if references is None else _held(references, stamp, period),
     )
-    reports = tuple(
-        _signal_report(entry, matched, len(samples)) for entry, matched in zip(ordered, (None, *matches), strict=True)
-    )
     lost_time = float(np.sum(np.diff(stamp)[starts[1:] - 1]) * 1e-9 - period * (len(starts) - 1))
-    report = JoinReport(reports, period, len(samples), len(starts), lost_time, gaps)
-    return JoinResult(samples, report)
+    return WholeJoin(samples, gaps, lost_time, ordered, (0, *(match.offset for match in matches)))
 
 
 def _match(currents: Ordered, other: Ordered, period: float) -> _Match:
@@ -131,20 +137,11 @@ def _held(references: Signal, stamp: IntArray, period: float) -> FloatArray | No
     return np.where(valid[:, None], values[first], np.nan)
 
 
-def _signal_report(ordered: Ordered, match: _Match | None, used: int) -> SignalReport:
-    signal = ordered.signal
-    return SignalReport(
-        topic=signal.name,
-        read=len(signal.stamp),
-        used=used,
-        repeated=ordered.repeated,
-        backward=ordered.backward,
-        lost=signal.lost,
-        losses=signal.losses,
-        offset=0.0 if match is None else match.offset * 1e-9,
-        declared_period=signal.sample_period,
-        measured_period=measured_period(signal),
-    )
+def declared_periods(signals: Sequence[Signal]) -> list[tuple[str, float]]:
+    declared = [(signal.name, signal.sample_period) for signal in signals if signal.sample_period is not None]
+    if not all(1e-9 <= period < 1e4 for _, period in declared):
+        raise SamplePeriodError
+    return declared
 
 
 def check_values(signal: Signal) -> None:
@@ -181,7 +178,7 @@ def common_period(signals: Sequence[Signal]) -> float:
     for signal in signals:
         measured = measured_period(signal)
         if measured is not None:
-            claims.append((f"the stamps of {signal.name} show", measured))
+            claims.append((signal.name, measured))
     if not claims:
         raise SamplePeriodError
     check_agreement(claims)

@@ -22,36 +22,16 @@ VALIDATION_PIECES = 10
 
 @dataclass(frozen=True, eq=False)
 class Accumulated:
-    """What is kept of one bag or of several.
+    """What is kept of one bag or of several."""
 
-    Parameters
-    ----------
-    evidence : Evidence
-        Of all samples.
-    validation : tuple of Samples
-        A bounded part of the recording, for the MAD and for pictures.
-    warnings : tuple of Message
-        Sentences about the recording.
-    digests : mapping of str to str
-        Storage file to its sha256.
-    truth : GroundTruth or None
-        Of the simulation, when all bags carry one of the same machine.
-    samples : int
-        Joined samples in all bags.
-    last_stamp : int
-        Of the last sample, ns.
-    unchecked : tuple of str
-        Recordings whose files have no checksums.
-    """
-
-    evidence: Evidence
-    validation: tuple[Samples, ...]
-    warnings: tuple[Message, ...]
-    digests: Mapping[str, str]
-    truth: GroundTruth | None
-    samples: int
-    last_stamp: int
-    unchecked: tuple[str, ...] = ()
+    evidence: Evidence  # of all samples
+    validation: tuple[Samples, ...]  # a bounded part of the recording, for the MAD and for pictures
+    warnings: tuple[Message, ...]  # about the recording
+    digests: Mapping[str, str]  # storage file to its sha256
+    truth: GroundTruth | None  # of the simulation, when all bags carry one of the same machine
+    samples: int  # joined, in all bags
+    last_stamp: int  # of the last sample, ns
+    unchecked: tuple[str, ...] = ()  # recordings whose files have no checksums
 
     def merged(self, other: Accumulated) -> Accumulated:
         """Return what is kept of both.

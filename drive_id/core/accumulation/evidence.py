@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,19 +13,24 @@ from numpy.typing import NDArray
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import Visits, disc_coverage
-from drive_id.core.maps.flux_models import FluxModel
-from drive_id.core.methods.registry import method_named
+from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline
+from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
 from drive_id.core.numerics.scans import mark_rests
+from drive_id.core.paper.regression import RegressionSums
 from drive_id.errors import ConfigurationError
 from drive_id.messages import Message
+from drive_id.origins import ORIGINS
 from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, Samples
 
+if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
+    from drive_id.core.full.window_sums import WindowSums
+
 DOMAIN_MARGIN = 1.05
 """Half width of the map by the i_max that is set."""
-_IDLE_CURRENT = 0.02
+_IDLE_CURRENT = 0.02  # of i_max, below which the drive rests
 _SHAPING = (
     "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale", "longest_rest",
     "harmonic_orders", "grid_points",
@@ -34,8 +39,19 @@ _COUNTS = ("samples", "gaps", "idle", "_differences")
 _SUMS = ("_time", "_difference_square", "_turn_square", "_angle_square")
 
 
+def check_live(method: str) -> None:
+    """Raise ConfigurationError for method ``static``, which sums nothing over samples."""
+    if not ORIGINS[method].live:
+        raise ConfigurationError(
+            "Method static fits operating points of whole logs, not accumulated or live samples: use drive-id fit LOG "
+            "--method static, or drive_id.fit."
+        )
+
+
 class Evidence:
     """Sums of the fit's method, counts of visited currents and noise statistics of the samples so far.
+
+    The sums of the paper's regression are always there, so that method ``full`` serves all methods.
 
     Parameters
     ----------
@@ -43,14 +59,21 @@ class Evidence:
         Ranges of the map.
     i_max : float
         Radius of the current disc of the experiment, A.
+
+    Raises
+    ------
+    ConfigurationError
+        For method ``static``.
     """
 
     def __init__(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> None:
+        check_live(settings.method)
         self.settings = settings
         self.d = d
         self.q = q
         self.i_max = i_max
-        self.information, self.windows = method_named(settings.method).accumulator(settings, d, q, i_max)
+        self.information = RegressionSums(self._flux_model(), TanhShape(settings.inverter_current_scale))
+        self.windows = self._window_sums() if ORIGINS[settings.method].windows else None
         self.visits = Visits(
             np.linspace(d.low, d.high, settings.grid_points), np.linspace(q.low, q.high, settings.grid_points)
         )
@@ -75,6 +98,20 @@ class Evidence:
         edge = DOMAIN_MARGIN * i_max
         return cls(settings, Axis(-edge, edge, settings.splines_d), Axis(-edge, edge, settings.splines_q), i_max)
 
+    def _flux_model(self) -> FluxModel:
+        """Return the flux model of the paper's regression."""
+        if self.settings.flux_model == "spline":
+            return TensorSpline(self.d, self.q)
+        return Polynomial(1 if self.settings.flux_model == "linear" else self.settings.polynomial_degree, self.i_max)
+
+    def _window_sums(self) -> WindowSums:
+        from drive_id.core.full.model import FullModel  # noqa: PLC0415  # takes 0.1 s
+        from drive_id.core.full.window_sums import WindowSums  # noqa: PLC0415
+
+        low, high = np.array([self.d.low, self.q.low]), np.array([self.d.high, self.q.high])
+        reciprocal = self.settings.maps != "free"
+        return WindowSums(FullModel(low, high, self.i_max, self.settings.harmonic_orders, reciprocal=reciprocal))
+
     def add(
         self,
         samples: Samples,
@@ -85,14 +122,9 @@ class Evidence:
     ) -> None:
         """Accumulate further samples.
 
-        Parameters
-        ----------
-        done : callable, optional
-            Told after each part how many of them are done.
-        continues : bool
-            They continue the previous piece and begin with its last sample, which counts once.
-        prompt : bool
-            Leave no products for the fit to form, see :meth:`~drive_id.core.full.window_sums.WindowSums.add`.
+        With ``continues``, they continue the previous piece and begin with its last sample, which counts once. ``done``
+        is told after each part how many of them are done; ``prompt`` leaves no products for the fit to form, see
+        :meth:`~drive_id.core.full.window_sums.WindowSums.add`.
         """
         new = slice(1, None) if continues else slice(None)
         i_dq = frames.to_dq(samples.i_abc, samples.angle)
@@ -134,21 +166,15 @@ class Evidence:
         return idle
 
     def copy(self, settings: FitSettings | None = None) -> Evidence:
-        """Return an independent copy; finished blocks are shared.
+        """Return an independent copy, perhaps for another method; finished blocks are shared.
 
-        Parameters
-        ----------
-        settings : FitSettings, optional
-            Another method; all other settings that shape the sums must be equal.
-
-        Raises
-        ------
-        ConfigurationError
-            When the other method needs sums that were not accumulated.
+        All other settings that shape the sums must be equal. Raises ConfigurationError when the other method needs sums
+        that were not accumulated, or sums nothing over samples.
         """
         other = copy.copy(self)
         other.settings = settings or self.settings
-        over_windows = method_named(other.settings.method).windows
+        check_live(other.settings.method)
+        over_windows = ORIGINS[other.settings.method].windows
         if over_windows and self.windows is None:
             raise ConfigurationError(
                 f"The samples were accumulated for method {self.settings.method}, which is not enough for method "
@@ -164,32 +190,28 @@ class Evidence:
 
         Raises ConfigurationError when they were accumulated differently; see :meth:`difference`.
         """
-        both = self.copy()
-        both.merge(other)
-        return both
-
-    def merge(self, other: Evidence) -> None:
-        """Add the evidence of other recordings, see :meth:`merged`."""
         if difference := self.difference(other):
             raise ConfigurationError(
                 f"Two recordings were accumulated differently ({difference}) and cannot be merged: accumulate both "
                 "with the same settings and the same i_max."
             )
-        theirs = other.accumulators()
-        for name, accumulator in self.accumulators().items():
+        both, theirs = self.copy(), other.accumulators()
+        for name, accumulator in both.accumulators().items():
             accumulator.merge(theirs[name])
-        self.gaps += self.samples > 0 and other.samples > 0
         for name in (*_COUNTS, *_SUMS):
-            setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.reached = max(self.reached, other.reached)
-        self.findings = tuple(dict.fromkeys((*self.findings, *other.findings)))
-        self._quiet = 0
+            setattr(both, name, getattr(self, name) + getattr(other, name))
+        both.gaps += self.samples > 0 and other.samples > 0
+        both.reached = max(self.reached, other.reached)
+        both.findings = tuple(dict.fromkeys((*self.findings, *other.findings)))
+        both._quiet = 0  # noqa: SLF001  # of its own class
+        return both
 
     def suits(self, settings: FitSettings) -> bool:
-        """Tell whether a fit with these settings can use this evidence."""
+        """Tell whether a fit with these settings can use this evidence; raises ConfigurationError for ``static``."""
+        check_live(settings.method)
         shaping = (*_SHAPING, "i_max", "temperatures", "u_dc", "u_dc_reference")
         same = all(getattr(self.settings, name) == getattr(settings, name) for name in shaping)
-        return same and (self.windows is not None or not method_named(settings.method).windows)
+        return same and (self.windows is not None or not ORIGINS[settings.method].windows)
 
     def difference(self, other: Evidence, this: str = "in one", that: str = "in the other") -> str:
         """Return what keeps this evidence and the other from being merged; empty if nothing does."""
@@ -217,7 +239,7 @@ class Evidence:
         """Restore a state, see :class:`~drive_id.core.numerics.running_sums.Accumulator`."""
         for name in (*_COUNTS, *_SUMS, "_quiet", "reached"):
             setattr(self, name, exactly(state[name], np.array(getattr(self, name))).item())
-        self.findings = tuple(map(_finding, json.loads(str(state["findings"]))))
+        self.findings = tuple(map(Message.stored, json.loads(str(state["findings"]))))
         for name, accumulator in self.accumulators().items():
             accumulator.restore(below(name, state))
 
@@ -268,15 +290,12 @@ class Evidence:
 
     def inside(self) -> BoolArray:
         """Tell where on the grid of the visits data support a map of this resolution."""
-        return self.visits.inside(*method_named(self.settings.method).resolution(self.d, self.q))
+        if not ORIGINS[self.settings.method].windows:
+            return self.visits.inside(self.d.width, self.q.width)
+        from drive_id.core.full.resolution import FLUX_CELLS  # noqa: PLC0415  # as the window sums
+
+        return self.visits.inside(*((axis.high - axis.low) / FLUX_CELLS for axis in (self.d, self.q)))
 
     def coverage(self) -> float:
         """Return the share of the current disc with data, 0 to 1."""
         return disc_coverage(self.visits.i_d, self.visits.i_q, self.inside(), self.i_max)
-
-
-def _finding(entry: dict[str, Any]) -> Message:
-    """Return a stored finding; earlier versions called its sentence message, and its kind severity."""
-    if "message" in entry:
-        return Message.told(entry["message"], entry["code"], entry["values"], entry["severity"])
-    return Message.stored(entry)

@@ -1,1 +1,1 @@
-"""The three methods of identification, one interface: what each sums over samples, and what it estimates from that."""
+"""The three methods of identification, one interface: what each estimates from sums over samples."""

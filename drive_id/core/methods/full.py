@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drive_id.core.fit_settings import FitSettings
+from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
 from drive_id.core.full.effect_report import effect_entries, misfit_warning, not_reciprocal_warning
@@ -15,69 +15,49 @@ from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.fit import sigma as fitted_sigma
-from drive_id.core.full.model import MAGNET, RESISTANCE, FullModel
+from drive_id.core.full.model import MAGNET, RESISTANCE
 from drive_id.core.full.resolution import FLUX_CELLS
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE
 from drive_id.core.maps.coverage import smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import BasisRows, TensorSpline, fitted, sites
-from drive_id.core.methods.method import (
-    CURVE_POINTS,
-    EffectVoltages,
-    Estimate,
-    Gathered,
-    Limits,
-    MethodSums,
-    SimulationModel,
-)
-from drive_id.core.methods.paper import regression_sums
+from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Limits, SimulationModel
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
 from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
 
-_FINE, _FINEST, _DENSITY = 72, 200, 2
-"""Splines per axis of the map for simulation and queries, at least and at most, and points per spline that they fit."""
+_FINE = 72  # splines per axis of the map for simulation and queries, at least
+_FINEST = 200  # the same, at most
+_DENSITY = 2  # points per spline that they fit
 _POINTS = 256
 """Points of the map per batch of standard errors."""
 _AVERAGED = 4
 """Samples over which the simulation averages the voltage that effects take."""
-_OUTLYING_BATCH, _LEAST_OUTLYING = 20.0, 0.01
-_LEAST_TURN = 0.75
-"""Share of a window's angle."""
-_FEW_POINTS = 0.005
-_LARGE_SIGMA = 0.01
+_OUTLYING_BATCH = 20.0  # mean square residual of a batch of time over the median from which on its time is told
+_LEAST_OUTLYING = 0.01  # the same rms, over the voltages
+_LEAST_TURN = 0.75  # of a window's angle and duration: shorter ones do not rotate slowly
+_FEW_POINTS = 0.005  # share of the map's points that may be uncertain
+_LARGE_SIGMA = 0.01  # standard error over the largest flux of an uncertain point
 _LARGE_SHARE = 0.01
 """Of R, by which the shape of a wide inverter curve changes R."""
-_LARGE_OFFSET, _LARGE_MISMATCH = 0.005, 0.01
+_LARGE_OFFSET = 0.005  # of a current sensor, in i_max, for a warning
+_LARGE_MISMATCH = 0.01  # of gains, for a warning
 _LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy="passive_maps", impossible=True)
-_INNER = 0.9
-"""Part of the disc, by its radius, that has no hole if it is called whole: at the rim, noise makes some."""
-_FEW_COVERED, _WHOLE_DISC = 0.5, 0.02
-"""Share of the disc with data below which more of it helps most, and share without data up to which it is whole."""
+_FEW_COVERED = 0.5  # share of the disc with data below which more of it helps most
+_WHOLE_DISC = 0.02  # share of the disc without data up to which it is whole
+_INNER = 0.9  # of its radius, where the disc has no hole if it is whole: at the rim, noise makes some
 
 
 @dataclass(frozen=True)
 class FullMethod:
     """Linear least squares over windows, with rotor harmonics, an inverter curve and calibration."""
 
-    windows: bool = True
     limits: Limits = _LIMITS
 
-    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> MethodSums:
-        """Return empty sums: those of the paper's regression as well, so that they serve all methods."""
-        low, high = np.array([d.low, q.low]), np.array([d.high, q.high])
-        reciprocal = settings.maps != "free"
-        windows = WindowSums(FullModel(low, high, i_max, settings.harmonic_orders, reciprocal=reciprocal))
-        return MethodSums(regression_sums(settings, d, q, i_max), windows)
-
-    def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
-        """Return the widths of a cell of the flux map, A."""
-        return (d.high - d.low) / FLUX_CELLS, (q.high - q.low) / FLUX_CELLS
-
-    def conclude(self, evidence: Gathered, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
+    def conclude(self, evidence: Evidence, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
         """Fit, calibrate, and evaluate maps and curve.
 
         Raises DataError when there are fewer windows than unknowns, or the delay of the voltages jumps within a
@@ -98,10 +78,9 @@ class FullMethod:
         if (jump := fit.assessment.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
-        points = grid.reshape(-1, 2)
         found = _calibrations(evidence, fit, grid, inside)
         frame = TrueFrame(fit, next((c.value for c in found if c.name == "resolver_offset" and c.applied), 0.0))
-        psi = frame.flux(points).reshape(grid.shape)
+        psi = frame.flux(grid)
         sigma = _sigma(frame, grid, inside)
         warnings = (*_on_map(evidence, fit, psi, sigma, inside), *_on_calibration(evidence, fit, found))
         earlier, scaled = EarlierFit.of(fit), calibration.by_common_gain(fit, found, grid[inside], _LARGE_MISMATCH)
@@ -142,7 +121,7 @@ class FullMethod:
             warnings=warnings,
             sigma_inverter_voltage=deviation,
             phase_voltages=drops if fit.spec.per_phase else None,
-            harmonics=tuple(_harmonic(frame, order, grid) for order in fit.spec.orders),
+            harmonics=tuple((order, *frame.harmonic(order, grid)) for order in fit.spec.orders),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
             statements=(*_statements(evidence, fit, inside, found), *_on_effort(fit, information)),
@@ -153,28 +132,22 @@ class FullMethod:
 
 @dataclass(frozen=True, eq=False)
 class TrueFrame:
-    """The fitted maps as functions of the true current, corrected for the resolver's offset.
-
-    Parameters
-    ----------
-    angle : float
-        Measured minus true electrical angle, rad.
-    """
+    """The fitted maps as functions of the true current, corrected for the resolver's offset."""
 
     fit: FullFit
-    angle: float
+    angle: float  # measured minus true electrical angle, rad
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
-        """Return psi_dq (N, 2), Wb, averaged over the rotor position, at currents (N, 2), A."""
-        rows = self.fit.model.flux.rows(rotated(i_dq, -self.angle))
-        return rotated(rows.dot(self.fit.solution.estimate[self.fit.model.map]), self.angle)
+        """Return psi_dq (..., 2), Wb, averaged over the rotor position, at currents (..., 2), A."""
+        rows = self.fit.model.flux.rows(rotated(i_dq.reshape(-1, 2), -self.angle))
+        return rotated(rows.dot(self.fit.solution.estimate[self.fit.model.map]), self.angle).reshape(i_dq.shape)
 
     def harmonic(self, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the amplitudes of cos(h theta) and sin(h theta), (N, 2) each, Wb, theta being the true angle."""
+        """Return the amplitudes of cos(h theta) and sin(h theta), (..., 2) each, Wb, theta being the true angle."""
         model = self.fit.model
-        rows = model.harmonic.rows(rotated(i_dq, -self.angle))
+        rows = model.harmonic.rows(rotated(i_dq.reshape(-1, 2), -self.angle))
         halves = np.split(self.fit.solution.estimate[model.harmonics[order]], 2)
-        a, b = (rotated(rows.dot(half), self.angle) for half in halves)
+        a, b = (rotated(rows.dot(half), self.angle).reshape(i_dq.shape) for half in halves)
         cosine, sine = np.cos(order * self.angle), np.sin(order * self.angle)
         return a * cosine + b * sine, b * cosine - a * sine
 
@@ -196,7 +169,7 @@ def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
     return float(fit.solution.estimate[MAGNET]), fit.sigma(form)
 
 
-def _calibrations(evidence: Gathered, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
+def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
     settings = evidence.settings
     found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
     found += effect_entries(fit, several_speeds=several_speeds(fit.assessment.speeds))
@@ -228,12 +201,7 @@ def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
     return sigma
 
 
-def _harmonic(frame: TrueFrame, order: int, grid: FloatArray) -> tuple[int, FloatArray, FloatArray]:
-    cosine, sine = frame.harmonic(order, grid.reshape(-1, 2))
-    return order, cosine.reshape(grid.shape), sine.reshape(grid.shape)
-
-
-def _simulation_model(evidence: Gathered, frame: TrueFrame, drop: tuple[FloatArray, FloatArray]) -> SimulationModel:
+def _simulation_model(evidence: Evidence, frame: TrueFrame, drop: tuple[FloatArray, FloatArray]) -> SimulationModel:
     """Return the maps as fine cubic splines: one form for simulation and queries, whatever they were fitted with."""
     cells = frame.fit.model.resolution
     counts = (
@@ -241,16 +209,15 @@ def _simulation_model(evidence: Gathered, frame: TrueFrame, drop: tuple[FloatArr
     )
     d, q = (Axis(axis.low, axis.high, count) for axis, count in zip((evidence.d, evidence.q), counts, strict=True))
     places = sites(d, q, _DENSITY)
-    points = places.reshape(-1, 2)
-    gamma = fitted(frame.flux(points).reshape(places.shape), d, q)
+    gamma = fitted(frame.flux(places), d, q)
     harmonics = {}
     for order in frame.fit.spec.orders:
-        cosine, sine = (fitted(x.reshape(places.shape), d, q) for x in frame.harmonic(order, points))
-        harmonics[order] = (cosine, sine)
+        cosine, sine = frame.harmonic(order, places)
+        harmonics[order] = (fitted(cosine, d, q), fitted(sine, d, q))
     return SimulationModel(TensorSpline(d, q), gamma, harmonics, drop, _effect_voltages(evidence, frame.fit))
 
 
-def _effect_voltages(evidence: Gathered, fit: FullFit) -> EffectVoltages | None:
+def _effect_voltages(evidence: Evidence, fit: FullFit) -> EffectVoltages | None:
     if not fit.spec.effects:
         return None
     search = fit.selection.search
@@ -300,7 +267,7 @@ def _error_modes(
 
 
 def _on_map(
-    evidence: Gathered, fit: FullFit, psi: FloatArray, sigma: FloatArray, inside: BoolArray
+    evidence: Evidence, fit: FullFit, psi: FloatArray, sigma: FloatArray, inside: BoolArray
 ) -> Iterator[Message]:
     """Yield warnings of the windows and of the standard errors of the flux map."""
     if misfit := misfit_warning(fit):
@@ -322,7 +289,7 @@ def _on_map(
         yield Message("wide_curve.large", shared=fit.shared_resistance)
 
 
-def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Calibration]) -> Iterator[Message]:
+def _on_calibration(evidence: Evidence, fit: FullFit, calibrations: Sequence[Calibration]) -> Iterator[Message]:
     """Yield warnings of sensor faults and of maps that are not reciprocal."""
     yield from (c.message for c in calibrations if c.name == "resolver_offset" and c.message.kind == "warning")
     if not fit.spec.reciprocal and evidence.settings.maps == "auto":
@@ -337,7 +304,7 @@ def _on_calibration(evidence: Gathered, fit: FullFit, calibrations: Sequence[Cal
 
 
 def _statements(
-    evidence: Gathered, fit: FullFit, inside: BoolArray, calibrations: Sequence[Calibration]
+    evidence: Evidence, fit: FullFit, inside: BoolArray, calibrations: Sequence[Calibration]
 ) -> Iterator[Message]:
     """Yield what determined the unknowns that the data alone leave open, where data are missing, what helps most."""
     several = several_speeds(fit.assessment.speeds)
@@ -382,7 +349,7 @@ def _on_effort(fit: FullFit, sums: WindowSums) -> Iterator[Message]:
         )
 
 
-def _on_region(evidence: Gathered, inside: BoolArray) -> Message:
+def _on_region(evidence: Evidence, inside: BoolArray) -> Message:
     grid = evidence.visits.grid()
     disc = np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max
     missing = disc & ~inside

@@ -6,28 +6,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
-from drive_id.core.fit_settings import FitSettings
-from drive_id.core.maps.coverage import Visits
+from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.maps.flux_models import TensorSpline
 from drive_id.core.methods.parameters import FitReport, Parameters
-from drive_id.core.numerics.bspline import Axis
-from drive_id.core.paper.regression import RegressionSums
 from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
     from drive_id.core.full.fit import EarlierFit
-    from drive_id.core.full.window_sums import WindowSums
 
 CURVE_POINTS = 201
 """Points of the inverter's curve in a result, from -i_max to i_max."""
-
-
-class MethodSums(NamedTuple):
-    """What is summed over samples: the paper's regression always, windows for method ``full`` only."""
-
-    information: RegressionSums
-    windows: WindowSums | None
 
 
 class Limits(NamedTuple):
@@ -40,42 +29,6 @@ class Limits(NamedTuple):
     impossible: bool = False  # whether results that no machine can have are refused
 
 
-class Gathered(Protocol):
-    """What a method needs of the accumulated samples, see :class:`~drive_id.core.accumulation.evidence.Evidence`."""
-
-    settings: FitSettings
-    d: Axis
-    q: Axis
-    i_max: float
-    samples: int
-    idle: int
-    reached: float
-    information: RegressionSums
-    windows: WindowSums | None
-    visits: Visits
-    findings: tuple[Message, ...]
-
-    @property
-    def turn(self) -> float:
-        """Root mean square of the angle turned per sample, rad."""
-
-    @property
-    def sample_period(self) -> float:
-        """Of the samples, s."""
-
-    @property
-    def noise_variance(self) -> float:
-        """Variance of white noise in i_d and i_q each, A^2."""
-
-    @property
-    def angle_variance(self) -> float:
-        """Mean square error of interpolated angles, rad^2."""
-
-    @property
-    def noise_share(self) -> float:
-        """Energy that noise adds to the differences of a basis function, per energy of its rotation."""
-
-
 EffectVoltages = Callable[[Sequence[Samples]], tuple[list[FloatArray], bool]]
 """Returns the phase voltages (N, 3) that effects take in pieces of recordings, V, and whether all effects are included:
 some act over whole recordings and are left out for mere pieces."""
@@ -83,94 +36,41 @@ some act over whole recordings and are left out for mere pieces."""
 
 @dataclass(frozen=True, eq=False)
 class SimulationModel:
-    """The identified drive as :func:`~drive_id.core.validation.current_simulation.simulate_current` takes it.
-
-    Parameters
-    ----------
-    gamma : (P,) float
-        Parameters of the mean map, Wb.
-    harmonics : mapping of int to ((P,) float, (P,) float)
-        Amplitudes of cosine and sine of each electrical order, Wb.
-    drop : (C,) float, (C,) float
-        Equally spaced phase currents, A, and the inverter's drop there, V.
-    effects : callable, optional
-        Gives what effects beside this model take.
-    """
+    """The identified drive as :func:`~drive_id.core.validation.current_simulation.simulate_current` takes it."""
 
     model: TensorSpline
-    gamma: FloatArray
-    harmonics: Mapping[int, tuple[FloatArray, FloatArray]]
-    drop: tuple[FloatArray, FloatArray]
-    effects: EffectVoltages | None = None
+    gamma: FloatArray  # (P,), parameters of the mean map, Wb
+    harmonics: Mapping[int, tuple[FloatArray, FloatArray]]  # order to cosine and sine, (P,) each, Wb
+    drop: tuple[FloatArray, FloatArray]  # (C,) each, equally spaced phase currents, A, and the inverter's drop there, V
+    effects: EffectVoltages | None = None  # what effects beside this model take
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate(Parameters):
-    """What a method finds: the parameters, the map on the grid of the visits, and how good they are.
+    """What a method finds: the parameters, the map on the grid of the visits, and how good they are."""
 
-    Parameters
-    ----------
-    psi, sigma : (D, Q, 2) float
-        Flux map on the grid of the visits and its standard error, Wb; sigma is NaN where there are no data.
-    positive_definite : callable
-        Tells (N,) at which currents (N, 2), A, the inductance matrix is positive definite.
-    report : FitReport
-        As far as the method knows it.
-    unexplained : float
-        Rms residual over the rms of all integrated voltages.
-    outlying_time : float or None
-        Where samples stand out from all others, in time of data, s.
-    warnings : tuple of Message
-        Of this method only.
-    harmonics : tuple of (int, (D, Q, 2) float, (D, Q, 2) float)
-        Order, and amplitudes of cosine and sine, Wb.
-    fit : EarlierFit or None
-        What a fit of further samples can take over; only of method ``full``.
-    """
-
-    psi: FloatArray
-    sigma: FloatArray
+    psi: FloatArray  # (D, Q, 2), on the grid of the visits, Wb
+    sigma: FloatArray  # (D, Q, 2), standard error, Wb; NaN where there are no data
     simulation: SimulationModel
-    positive_definite: Callable[[FloatArray], BoolArray]
-    report: FitReport
-    unexplained: float
-    outlying_time: float | None
-    warnings: tuple[Message, ...]
-    harmonics: tuple[tuple[int, FloatArray, FloatArray], ...] = ()
-    fit: EarlierFit | None = None
+    positive_definite: Callable[[FloatArray], BoolArray]  # (N,), of inductances at currents (N, 2), A
+    report: FitReport  # as far as the method knows it
+    unexplained: float  # rms residual over the rms of all integrated voltages
+    outlying_time: float | None  # where samples stand out from all others, in time of data, s
+    warnings: tuple[Message, ...]  # of this method only
+    harmonics: tuple[tuple[int, FloatArray, FloatArray], ...] = ()  # order, cosine and sine (D, Q, 2), Wb
+    fit: EarlierFit | None = None  # what a fit of further samples can take over; only of method full
 
 
 class Method(Protocol):
     """One of ``psm``, ``joint`` and ``full``."""
 
     @property
-    def windows(self) -> bool:
-        """Whether it sums over windows."""
-
-    @property
     def limits(self) -> Limits:
         """When to warn."""
 
-    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> MethodSums:
-        """Return empty sums for maps of these ranges and a current disc of this radius, A."""
+    def conclude(self, evidence: Evidence, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
+        """Estimate maps and parameters; data support the map where ``inside`` (D, Q) on the grid of the visits.
 
-    def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
-        """Return the widths of a cell of its map, A: smaller holes in the data count as covered."""
-
-    def conclude(self, evidence: Gathered, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
-        """Estimate maps and parameters.
-
-        Parameters
-        ----------
-        evidence : Gathered
-            With what :meth:`accumulator` returned, filled.
-        inside : (D, Q) bool
-            Where on the grid of the visits data support the map.
-        earlier : EarlierFit, optional
-            By the same settings from most of these samples: method ``full`` takes its selection over.
-
-        Raises
-        ------
-        DataError
-            When there are too few data for this method.
+        ``earlier`` is a fit by the same settings from most of these samples, whose selection method ``full`` takes
+        over. Raises DataError when there are too few data for this method.
         """

@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.core.fit_settings import FitSettings
+from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
-from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline, as_tensor_spline, extend
-from drive_id.core.maps.inverter_curve import TanhShape
-from drive_id.core.methods.method import CURVE_POINTS, Estimate, Gathered, Limits, MethodSums, SimulationModel
+from drive_id.core.maps.flux_models import FluxModel, TensorSpline, as_tensor_spline, extend
+from drive_id.core.methods.method import CURVE_POINTS, Estimate, Limits, SimulationModel
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
@@ -27,45 +26,28 @@ from drive_id.types import BoolArray, FloatArray
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
     from drive_id.core.full.fit import EarlierFit
 
-_WEAK_COEFFICIENT = 0.1
-_FINE_COUNT = 24
-_AT_A_TIME = 512
-_TANH_REACH, _TANH_POINTS = 10.0, 4001
-"""The drop is simulated as a curve over so many i_s to both sides: 1 - tanh(10) is 4e-9, and linear pieces of
-0.005 i_s are off by less than 3e-6 u_e."""
-
-_LARGE_NOISE = 0.1
-_LARGE_ASYMMETRY = 0.1
-_FEW_BLOCKS = 8
-_OUTLYING_BLOCK = 10.0
+_WEAK_COEFFICIENT = 0.1  # standard error over the largest flux from which on a coefficient is replaced by continuation
+_FINE_COUNT = 24  # splines per axis, at least, with which polynomials are simulated
+_AT_A_TIME = 512  # points of the map, which bounds the memory of dense rows
+_TANH_REACH = 10.0  # i_s to both sides over which the drop is simulated as a curve: 1 - tanh(10) is 4e-9
+_TANH_POINTS = 4001  # of it: linear pieces of 0.005 i_s are off by less than 3e-6 u_e
+_LARGE_NOISE = 0.1  # energy that noise adds to the differences of functions, over that of their rotation
+_LARGE_ASYMMETRY = 0.1  # over the largest flux
+_FEW_BLOCKS = 8  # of which none stands out
+_OUTLYING_BLOCK = 10.0  # energy of the residuals of a block that stands out, over the median
 _LIMITS = Limits(unexplained=0.6, refused=0.8, mad=np.inf)  # noise leaves up to half of it per sample
 
 
 @dataclass(frozen=True)
 class PaperMethod:
-    """``eq:ls_regression``, accumulated per block of time.
+    """``eq:ls_regression``, accumulated per block of time."""
 
-    Parameters
-    ----------
-    inverter : bool
-        Whether the voltage error is an unknown.
-    """
-
-    inverter: bool
-    windows: bool = False
+    inverter: bool  # whether the voltage error is an unknown
     limits: Limits = _LIMITS
-
-    def accumulator(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> MethodSums:
-        """Return empty sums."""
-        return MethodSums(regression_sums(settings, d, q, i_max), None)
-
-    def resolution(self, d: Axis, q: Axis) -> tuple[float, float]:
-        """Return the widths of a cell of the splines, A."""
-        return d.width, q.width
 
     def conclude(
         self,
-        evidence: Gathered,
+        evidence: Evidence,
         inside: BoolArray,
         earlier: EarlierFit | None = None,  # noqa: ARG002  # there is nothing to select
     ) -> Estimate:
@@ -113,7 +95,7 @@ class PaperMethod:
         )
 
     def _on_inverter(
-        self, evidence: Gathered, solution: Solution, spread: Jackknife, inside: BoolArray
+        self, evidence: Evidence, solution: Solution, spread: Jackknife, inside: BoolArray
     ) -> Iterator[Message]:
         """Judge the voltage error and the symmetry of the map, which an unmodelled inverter distorts."""
         if not self.inverter:
@@ -128,16 +110,8 @@ class PaperMethod:
 PAPER_METHODS = {origin.name: PaperMethod(origin.inverter) for origin in (PSM, JOINT)}
 
 
-def regression_sums(settings: FitSettings, d: Axis, q: Axis, i_max: float) -> RegressionSums:
-    """Return empty sums of the paper's regression."""
-    model: FluxModel = TensorSpline(d, q)
-    if settings.flux_model != "spline":
-        model = Polynomial(settings.polynomial_degree if settings.flux_model == "polynomial" else 1, i_max)
-    return RegressionSums(model, TanhShape(settings.inverter_current_scale))
-
-
 def _extended(
-    evidence: Gathered, solution: Solution, spread: Jackknife, i_dq: FloatArray
+    evidence: Evidence, solution: Solution, spread: Jackknife, i_dq: FloatArray
 ) -> tuple[TensorSpline, FloatArray]:
     """Return the map as splines, continued with typical slopes beyond the data, which lie at currents (N, 2), A."""
     model, gamma = evidence.information.model, solution.gamma
@@ -198,28 +172,19 @@ def _outlying_time(blocks: FloatArray, duration: float, solution: Solution) -> f
     return None
 
 
-def _on_noise(evidence: Gathered) -> Iterator[Message]:
+def _on_noise(evidence: Evidence) -> Iterator[Message]:
     if evidence.noise_share > _LARGE_NOISE:
         yield Message("current_noise", share=evidence.noise_share)
 
 
-def mirror_asymmetry(evidence: Gathered, gamma: FloatArray, inside: BoolArray) -> float:
-    """Return how far a map is from psi_d(i_d, -i_q) = psi_d, psi_q(i_d, -i_q) = -psi_q.
+def mirror_asymmetry(evidence: Evidence, gamma: FloatArray, inside: BoolArray) -> float:
+    """Return how far a map of parameters (P,), Wb, is from psi_d(i_d, -i_q) = psi_d, psi_q(i_d, -i_q) = -psi_q.
 
     An offset of the angle turns map and currents together, which no voltage shows; in a symmetric machine's map it
     breaks the symmetry.
 
-    Parameters
-    ----------
-    gamma : (P,) float
-        Wb.
-    inside : (D, Q) bool
-        Where there are data; points without data at their mirror image are skipped.
-
-    Returns
-    -------
-    float
-        Larger one of the root mean square differences of both fluxes, over the largest flux; 0 without mirrored points.
+    It is the larger one of the root mean square differences of both fluxes, over the largest flux. Points without data
+    (``inside`` (D, Q)) at their mirror image are skipped; 0 without mirrored points.
     """
     grid = evidence.visits.grid()
     i_dq = grid[inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)]

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drive_id.messages import Message
-from drive_id.types import FloatArray
+from drive_id.types import FloatArray, Samples
 
 if TYPE_CHECKING:  # a stored result is read without scipy
     from drive_id.core.full.calibration import Calibration
@@ -18,43 +19,20 @@ if TYPE_CHECKING:  # a stored result is read without scipy
 
 @dataclass(frozen=True, kw_only=True)
 class FitReport:
-    """How well the data determine the model: by the method, and completed by what all methods share.
+    """How well the data determine the model: by the method, and completed by what all methods share."""
 
-    Parameters
-    ----------
-    samples_read, samples_used : int
-        Samples in the recordings, and in the regression (not those before a gap, beyond the map's range, or at rest).
-    gaps : int
-        Interruptions within recordings; nothing is integrated across them.
-    rows : int
-        Rows of the regression, two per pair of samples.
-    parameters, rank : int
-        Unknowns, and how many of them the data determine.
-    unseen : int
-        Flux parameters without any data (corner functions outside the disc).
-    condition : float
-        Condition number of the column-scaled regression within its rank.
-    residual_rms : float
-        RMS residual of the mean voltage over a sample, V.
-    mad_d, mad_q : float
-        Mean absolute deviation of simulated (open-loop) from measured currents, A; NaN when the simulation diverged.
-    coverage : float
-        Share of the disc of radius ``i_max`` with data, 0 to 1.
-    warnings : tuple of Message
-    """
-
-    samples_read: int = 0
-    samples_used: int = 0
-    gaps: int = 0
-    rows: int = 0
-    parameters: int = 0
-    rank: int = 0
-    unseen: int = 0
-    condition: float = np.inf
-    residual_rms: float = np.nan
-    mad_d: float = np.nan
-    mad_q: float = np.nan
-    coverage: float = np.nan
+    samples_read: int = 0  # in the recordings
+    samples_used: int = 0  # in the regression: not those before a gap, beyond the map's range, or at rest
+    gaps: int = 0  # interruptions within recordings; nothing is integrated across them
+    rows: int = 0  # of the regression, two per pair of samples
+    parameters: int = 0  # unknowns
+    rank: int = 0  # how many of them the data determine
+    unseen: int = 0  # flux parameters without any data (corner functions outside the disc)
+    condition: float = np.inf  # condition number of the column-scaled regression within its rank
+    residual_rms: float = np.nan  # of the mean voltage over a sample, V
+    mad_d: float = np.nan  # mean absolute deviation of simulated (open-loop) from measured currents, A
+    mad_q: float = np.nan  # A; both NaN when the simulation diverged
+    coverage: float = np.nan  # share of the disc of radius i_max with data, 0 to 1
     warnings: tuple[Message, ...] = ()
 
 
@@ -105,6 +83,14 @@ class Parameters:
     magnet_coefficient: tuple[float, float] | None = None
     statements: tuple[Message, ...] = ()
     error_modes: ErrorModes | None = None
+
+    def corrected(self, pieces: Sequence[Samples]) -> Sequence[Samples]:
+        """Return recordings without the sensor faults that are applied; the same ones if none was looked for."""
+        if not self.calibrations:
+            return pieces
+        from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # takes 0.1 s
+
+        return [corrected(piece, self.calibrations) for piece in pieces]
 
     def by_name(self) -> dict[str, Any]:
         """Return the parameters alone, for another class that holds them."""

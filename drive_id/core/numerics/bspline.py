@@ -41,10 +41,6 @@ class Axis:
         """Width of a cell, A."""
         return (self.high - self.low) / (self.count - 3)
 
-    def sites(self) -> FloatArray:
-        """Return ``count`` equally spaced points over the range, ends included: interpolation there is unique."""
-        return np.linspace(self.low, self.high, self.count)
-
     def collocation(self, points: FloatArray) -> FloatArray:
         """Return the dense matrix (len(points), count) of all functions at points within the range."""
         knots = self.low + self.width * np.arange(-3, self.count + 1, dtype=np.float64)
@@ -89,18 +85,11 @@ def slopes(t: float, width: float, w: FloatArray) -> None:
 
 @compiled("const f8[::1], const f8[::1], i8, i8[::1], f8[:, ::1]")
 def spline_values(x: FloatArray, knots: FloatArray, degree: int, cell: IntArray, w: FloatArray) -> None:
-    """Evaluate B-splines by the Cox-de Boor recursion.
+    """Evaluate B-splines at points (N,), those beyond the ends moved to them, by the Cox-de Boor recursion.
 
-    Parameters
-    ----------
-    x : (N,) float
-        Points; those beyond the ends are moved to them.
-    knots : (C + 1 + 2 degree,) float
-        Increasing, ``degree`` of them before and behind the edges of the cells; clamped or not.
-    cell : (N,) int
-        Output: first non-zero function.
-    w : (N, degree + 1) float
-        Output: values of that function and its successors.
+    The knots (C + 1 + 2 degree,) increase, ``degree`` of them before and behind the edges of the cells, clamped or not.
+    Writes the first non-zero function into ``cell`` (N,), and the values of it and its successors into ``w`` (N, degree
+    + 1).
     """
     cells = len(knots) - 1 - 2 * degree
     for n in range(len(x)):
@@ -136,18 +125,9 @@ def tensor_products(
     column: NDArray[np.int32],
     value: FloatArray,
 ) -> None:
-    """Multiply the splines of two axes.
+    """Multiply the splines of two axes, see :func:`spline_values`, and write columns and values (N, K) of the products.
 
-    Parameters
-    ----------
-    cell_d, w_d, cell_q, w_q
-        Per axis, see :func:`spline_values`.
-    count_q : int
-        Functions along the second axis.
-    offset : int
-        Column of the first product.
-    column, value : (N, K)
-        Output.
+    The second axis has ``count_q`` functions; ``offset`` is the column of the first product.
     """
     for n in range(len(cell_d)):
         k = 0

@@ -11,8 +11,8 @@ from scipy import linalg, sparse
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-_JITTER = 1e-13
-_TILE = 256
+_JITTER = 1e-13  # added to the unit diagonal, so that rounding leaves the matrix positive definite
+_TILE = 256  # rows and columns at a time, which stay in the cache
 
 
 def congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:

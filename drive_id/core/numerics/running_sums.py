@@ -57,25 +57,14 @@ def exactly(value: NDArray[Any], like: NDArray[Any]) -> NDArray[Any]:
 class TimeBlocks:
     """Cross products per block of equal time, of one recording after the other.
 
-    Parameters
-    ----------
-    sums : tuple of (S, S) float
-        One symmetric matrix per block.
-    starts : tuple of int
-        First block of each recording.
-    duration : float
-        Of a block, s; the last one of a recording may be shorter.
-
-    Notes
-    -----
     Neighbours are added only within a recording, so the blocks of a recording depend on the total number of blocks but
     not on the order in which recordings were merged. Recordings share blocks only when there are more recordings than
     blocks.
     """
 
-    sums: tuple[FloatArray, ...]
-    starts: tuple[int, ...]
-    duration: float
+    sums: tuple[FloatArray, ...]  # (S, S) each, symmetric, one per block
+    starts: tuple[int, ...]  # first block of each recording
+    duration: float  # of a block, s; the last one of a recording may be shorter
 
     def halved(self) -> TimeBlocks:
         """Return blocks of twice the time: neighbours within a recording added, an odd last one kept."""

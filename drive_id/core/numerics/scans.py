@@ -28,24 +28,10 @@ def rising(stamp: IntArray) -> bool:
 
 @compiled("const f8[:, ::1], f8, f8, f8, i8, b1[::1]")
 def mark_rests(i_dq: FloatArray, least: float, period: float, longest: float, rest: int, idle: BoolArray) -> int:
-    """Mark in ``idle`` (N,) the samples after longer rests at zero current than allowed.
+    """Mark in ``idle`` (N,) the samples after too long rests at zero current; return the samples of rest at the end.
 
-    Parameters
-    ----------
-    i_dq : (N, 2) float
-        Currents of one run, A.
-    least : float
-        Amplitude below which the current counts as zero, A.
-    period, longest : float
-        Sample period and longest rest allowed, s.
-    rest : int
-        Preceding samples of rest.
-    idle : (N,) bool
-
-    Returns
-    -------
-    int
-        Samples of rest at the end.
+    Takes the currents (N, 2) of one run, A, the amplitude below which they count as zero, A, the sample period and the
+    longest rest allowed, s, and how many samples of rest precede.
     """
     for k in range(len(i_dq)):
         rest = rest + 1 if math.hypot(i_dq[k, 0], i_dq[k, 1]) < least else 0

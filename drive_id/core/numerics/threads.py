@@ -27,21 +27,11 @@ _background = _Background()
 
 
 @contextmanager
-def in_background(check: Callable[[], None]) -> Iterator[None]:
-    """Keep what this thread computes in the body to this thread, and call ``check`` often; it may raise to end it."""
-    with _checked(check, alone=True):
-        yield
+def interruptible(check: Callable[[], None], *, alone: bool = False) -> Iterator[None]:
+    """Call ``check`` often in what this thread computes in the body, in any of its threads; it may raise to end it.
 
-
-@contextmanager
-def interruptible(check: Callable[[], None]) -> Iterator[None]:
-    """Call ``check`` often in what this thread computes in the body, in any of its threads; it may raise to end it."""
-    with _checked(check, alone=False):
-        yield
-
-
-@contextmanager
-def _checked(check: Callable[[], None], *, alone: bool) -> Iterator[None]:
+    ``alone``: what the body computes stays in this thread.
+    """
     before = _background.check, _background.alone
     _background.check, _background.alone = check, alone
     try:
@@ -51,10 +41,7 @@ def _checked(check: Callable[[], None], *, alone: bool) -> Iterator[None]:
 
 
 def in_threads(work: Callable[[Item], Result], items: Sequence[Item], most: int = MOST_THREADS) -> list[Result]:
-    """Return ``work(item)`` of each item in order, computed in up to ``most`` threads.
-
-    See :func:`in_background` and :func:`interruptible`.
-    """
+    """Return ``work(item)`` of each item in order, computed in up to ``most`` threads; see :func:`interruptible`."""
     check = _background.check
 
     def checked(item: Item) -> Result:

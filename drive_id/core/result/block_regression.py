@@ -8,8 +8,16 @@ import numpy as np
 
 from drive_id.types import FloatArray
 
+SIGNIFICANT = 30.0
+"""Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
+_SAME_GAIN = 2e-3  # difference from 1 that is none, however small its standard error
 _LARGEST_LEVERAGE = 0.98
 """Of a block, beyond which its residual is all rounding."""
+
+
+def is_one(gain: float, sigma: float) -> bool:
+    """Tell whether a common gain is 1 as far as its standard error tells."""
+    return abs(gain - 1) <= max(2 * sigma, _SAME_GAIN)
 
 
 def grouped(blocks: list[FloatArray], wanted: int) -> list[FloatArray]:
@@ -61,24 +69,16 @@ class BlockRegression:
         *,
         block: int = 1,
     ) -> BlockRegression:
-        """Solve for the columns of equidistant rows (N, C).
+        """Solve for the columns, indices of C like the response, of equidistant rows (N, C).
 
         The covariance is the equally weighted cosine estimate: the mean periodogram of the scores at the ``cosines``
-        lowest frequencies k / 2 N. What repeats faster than these is no scatter of the mean. The residuals are those
-        of rows that had no part in the solution, one block of neighbours left out at a time (CR3): a few rows of large
-        leverage, as from the run-up of a shaft, draw the solution to their errors and so hide these.
+        lowest frequencies k / 2 N, from 1 to below N. What repeats faster than these is no scatter of the mean. The
+        residuals are those of rows that had no part in the solution, one ``block`` of neighbours with correlated errors
+        left out at a time (CR3): a few rows of large leverage, as from the run-up of a shaft, draw the solution to
+        their errors and so hide these.
 
-        Parameters
-        ----------
-        data : (N, C) float
-        response, columns
-            Indices of C.
-        cosines : int
-            At least 1, below N.
-        more : (M, K) float, optional
-            Products of the columns chosen with independent errors of the response, one standard error each.
-        block : int
-            Rows whose errors are correlated.
+        ``more`` (M, K) are products of the columns chosen with independent errors of the response, one standard error
+        each.
         """
         total, count, chosen = data.T @ data, len(data), data[:, columns]
         coefficients, inverse = _solved(total, response, columns)

@@ -11,10 +11,9 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import check_radius
-from drive_id.core.methods.method import Estimate
-from drive_id.core.methods.registry import method_named
+from drive_id.core.methods.method import Estimate, Method
+from drive_id.core.methods.paper import PAPER_METHODS
 from drive_id.core.paper.rows import VOLTAGE
-from drive_id.core.result.corrected import corrected_pieces
 from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive
 from drive_id.core.result.monotone_estimate import made_monotone
 from drive_id.core.result.warnings import because, condemned, review
@@ -22,6 +21,7 @@ from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
 from drive_id.core.validation.simulated_current import SimulatedCurrent, simulated_current
 from drive_id.errors import DataError, UnexplainedError
+from drive_id.origins import FULL
 from drive_id.types import BoolArray, Samples
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
@@ -30,13 +30,11 @@ if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
 
 @dataclass(frozen=True, eq=False)
 class Conclusion:
-    """An identified drive, and what a conclusion from further samples takes over: selection, MAD and its excerpt."""
+    """An identified drive, and what a conclusion from further samples takes over besides its MAD: the selection."""
 
     drive: IdentifiedDrive
     fit: EarlierFit | None
-    mad: tuple[float, float]  # A
     judged: bool  # whether the MAD judges the model
-    simulated: SimulatedCurrent | None = None
 
 
 def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDrive:
@@ -47,20 +45,9 @@ def conclude(evidence: Evidence, validation: Sequence[Samples]) -> IdentifiedDri
 def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclusion | None = None) -> Conclusion:
     """Estimate by the method of the settings, simulate the currents, and judge the result.
 
-    Parameters
-    ----------
-    evidence : Evidence
-        Of all samples.
-    validation : sequence of Samples
-        Samples whose currents are simulated for the MAD; NaN without any.
-    earlier : Conclusion, optional
-        By the same settings from most of these samples: its MAD, and what method full selected and found about its
-        errors, are taken over.
-
-    Raises
-    ------
-    CoverageError, UnexplainedError, DataError
-        When these samples cannot give a trustworthy map.
+    The currents of the validation samples are simulated for the MAD; NaN without any. From an earlier conclusion, by
+    the same settings from most of these samples, the MAD, and what method full selected and found about its errors, are
+    taken over. Raises CoverageError, UnexplainedError, DataError when these samples cannot give a trustworthy map.
     """
     inside, coverage = evidence.inside(), evidence.coverage()
     check_radius(evidence, coverage)
@@ -70,7 +57,7 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
             "The commanded voltages are zero or equal in all phases, or voltages or currents are out of all range: "
             "check their fields and scales."
         )
-    method = method_named(evidence.settings.method)
+    method = _method_named(evidence.settings.method)
     estimate = method.conclude(evidence, inside, earlier.fit if earlier else None)
     if not estimate.unexplained <= method.limits.refused:
         raise UnexplainedError(because(evidence, "unexplained.fit", unexplained=estimate.unexplained))
@@ -78,7 +65,8 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         estimate = made_monotone(evidence, estimate, inside)
     flux_map = _flux_map(evidence, estimate, inside)
     if earlier:
-        mad, complete, simulated = earlier.mad, earlier.judged, earlier.simulated
+        known = earlier.drive.report
+        mad, complete, simulated = (known.mad_d, known.mad_q), earlier.judged, earlier.drive.simulated
     else:
         mad, complete, simulated = _mad(validation, estimate)
     judged = mad if complete else (0.0, 0.0)
@@ -91,7 +79,7 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         mad_d=mad[0],
         mad_q=mad[1],
         coverage=coverage,
-        warnings=review(evidence, coverage, estimate, flux_map, judged),
+        warnings=review(evidence, coverage, estimate, flux_map, judged, method.limits),
     )
     drive = IdentifiedDrive(
         method=evidence.settings.method,
@@ -102,7 +90,15 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         simulated=simulated,
         **estimate.by_name(),
     )
-    return Conclusion(drive, estimate.fit, mad, complete, simulated)
+    return Conclusion(drive, estimate.fit, complete)
+
+
+def _method_named(name: str) -> Method:
+    if name == FULL.name:
+        from drive_id.core.methods.full import FullMethod  # noqa: PLC0415  # takes 0.1 s
+
+        return FullMethod()
+    return PAPER_METHODS[name]
 
 
 def _flux_map(evidence: Evidence, estimate: Estimate, inside: BoolArray) -> FluxMap:
@@ -120,7 +116,7 @@ def _mad(
     """
     if not validation:
         return (float("nan"), float("nan")), False, None
-    pieces, complete = corrected_pieces(validation, estimate.calibrations), True
+    pieces, complete = estimate.corrected(validation), True
     known = estimate.simulation
     if known.effects is not None:
         voltages, complete = known.effects(validation)

@@ -16,12 +16,10 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
-from drive_id.core.result.corrected import corrected_pieces
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import gather, score
 from drive_id.core.validation.residuals import (
     AngleBins,
-    Flux,
     Residual,
     TimeBins,
     over_angle,
@@ -41,72 +39,34 @@ _TRAJECTORY = 4000
 
 @dataclass(frozen=True, eq=False)
 class ComparedMethod:
-    """What another method makes of the same data.
+    """What another method makes of the same data."""
 
-    Parameters
-    ----------
-    method : str
-        ``psm`` or ``joint``.
-    failure : str
-        Why it gave no result, a sentence; empty where it did. All else is NaN or empty then.
-    samples : int
-        That were used.
-    resistance, sigma_resistance : float
-        Ohm.
-    voltage_error, sigma_voltage_error : float
-        V; 0 for ``psm``.
-    residual_rms : float
-        See ``Diagnostics``, V.
-    mad_d, mad_q : float
-        A; NaN when unknown.
-    nrmse_d, nrmse_q : float
-        Against the ground truth; NaN without one.
-    psi_d, psi_q : (D, Q) float
-        On the grid of the result's flux map, Wb.
-    """
-
-    method: str
-    failure: str = ""
-    samples: int = 0
-    resistance: float = math.nan
-    sigma_resistance: float = math.nan
-    voltage_error: float = math.nan
-    sigma_voltage_error: float = math.nan
-    residual_rms: float = math.nan
-    mad_d: float = math.nan
-    mad_q: float = math.nan
-    nrmse_d: float = math.nan
+    method: str  # psm or joint
+    failure: str = ""  # why it gave no result, a sentence; empty where it did. All else is NaN or empty then
+    samples: int = 0  # that were used
+    resistance: float = math.nan  # ohm
+    sigma_resistance: float = math.nan  # ohm
+    voltage_error: float = math.nan  # V; 0 for psm
+    sigma_voltage_error: float = math.nan  # V
+    residual_rms: float = math.nan  # see Diagnostics, V
+    mad_d: float = math.nan  # A; NaN when unknown
+    mad_q: float = math.nan  # A
+    nrmse_d: float = math.nan  # against the ground truth; NaN without one
     nrmse_q: float = math.nan
-    psi_d: FloatArray | None = None
-    psi_q: FloatArray | None = None
+    psi_d: FloatArray | None = None  # (D, Q), on the grid of the result's flux map, Wb
+    psi_q: FloatArray | None = None  # (D, Q), Wb
 
 
 @dataclass(frozen=True, eq=False)
 class Diagnostics:
-    """What a result is judged by besides its numbers.
+    """What a result is judged by besides its numbers."""
 
-    Parameters
-    ----------
-    over_angle : AngleBins
-        Residual voltage over the rotor position.
-    over_time : TimeBins
-        Residual voltage over the time of data.
-    residual_rms : float
-        Of the residual voltage over windows of a few degrees, d and q alike, V: the same measure for all methods.
-    trajectory : (N, 2) float
-        Measured i_dq, A, decimated; NaN after each gap-free run.
-    simulated : SimulatedCurrent or None
-        None where no current was simulated.
-    comparisons : tuple of ComparedMethod
-        The paper's methods, except the result's own one.
-    """
-
-    over_angle: AngleBins
-    over_time: TimeBins
-    residual_rms: float
-    trajectory: FloatArray
-    simulated: SimulatedCurrent | None = None
-    comparisons: tuple[ComparedMethod, ...] = ()
+    over_angle: AngleBins  # residual voltage over the rotor position
+    over_time: TimeBins  # residual voltage over the time of data
+    residual_rms: float  # over windows of a few degrees, d and q alike, V: the same measure for all methods
+    trajectory: FloatArray  # (N, 2), measured i_dq, A, decimated; NaN after each gap-free run
+    simulated: SimulatedCurrent | None = None  # None where no current was simulated
+    comparisons: tuple[ComparedMethod, ...] = ()  # the paper's methods, except the result's own one
 
 
 def diagnose(
@@ -118,20 +78,10 @@ def diagnose(
     *,
     compared: bool = True,
 ) -> Diagnostics:
-    """Evaluate residuals and, if wanted, run the paper's methods on the same data.
+    """Evaluate residuals over excerpts of the recordings and, if wanted, run the paper's methods on the same data.
 
-    Parameters
-    ----------
-    settings : FitSettings
-        Of its fit.
-    excerpts : sequence of Samples
-        Of the recordings.
-    truth : GroundTruth, optional
-        The other methods are scored against it.
-    evidence : Evidence, optional
-        Of all samples. Default: that of the excerpts.
-    compared : bool
-        Run the paper's methods, which takes longer than all else.
+    The latter takes longer than all else; they use the evidence of all samples (default: of the excerpts), the settings
+    of the fit, and are scored against the truth.
     """
     residual = drive_residual(drive, excerpts)
     return Diagnostics(
@@ -158,9 +108,13 @@ def drive_residual(drive: IdentifiedDrive, excerpts: Sequence[Samples]) -> Resid
     """Return the residual voltage of samples, corrected for the sensor faults that were found."""
     drop = drive.phase_voltages
     curve = (drive.inverter_current, drive.inverter_voltage if drop is None else drop)
+
+    def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
+        return drive.flux(i_dq) + drive.flux_map.ripple(drive.harmonics, i_dq, angle)
+
     found, start = [Residual(np.zeros(0), np.zeros((0, 2)), np.zeros(0))], 0.0
-    for part in corrected_pieces(excerpts, drive.calibrations):
-        residual = residual_voltage(part, _flux(drive), drive.resistance, curve)
+    for part in drive.corrected(excerpts):
+        residual = residual_voltage(part, flux, drive.resistance, curve)
         found.append(residual._replace(time=start + residual.time))
         start += part.duration
     return Residual(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
@@ -168,11 +122,6 @@ def drive_residual(drive: IdentifiedDrive, excerpts: Sequence[Samples]) -> Resid
 
 def _rms(residual: Residual) -> float:
     return float(np.sqrt(np.mean(residual.voltage**2))) if len(residual.voltage) else math.nan
-
-
-def _flux(drive: IdentifiedDrive) -> Flux:
-    """Return the identified flux over current and angle, rotor-position harmonics included."""
-    return lambda i_dq, angle: drive.flux(i_dq) + drive.flux_map.ripple(drive.harmonics, i_dq, angle)
 
 
 def _comparisons(

@@ -29,19 +29,9 @@ def headline(
 ) -> tuple[Quantity, ...]:
     """Return what is asked for first; what the data do not cover, or what is not known, is left out.
 
-    Inductances away from zero current need the standard errors of method ``full``, and are told at 95 % of i_max.
-
-    Parameters
-    ----------
-    pole_pairs : int, optional
-        Without them there is no torque.
-    temperature : float, optional
-        To which R refers, degrees Celsius, where known.
-
-    Returns
-    -------
-    tuple of Quantity
-        The standard errors of inductances and torque need the joint errors of a fit.
+    Inductances away from zero current need the standard errors of method ``full``, and are told at 95 % of i_max. The
+    standard errors of inductances and torque need the joint errors of a fit. Without pole pairs there is no torque. The
+    temperature is that to which R refers, degrees Celsius, where known.
     """
     peak, rated = _peak_torque(drive), _peak_torque(drive, _SLOPES) if drive.origin.slopes else None
     found = [*_at_zero_current(drive), *(() if rated is None else rated.inductances(drive))]
@@ -104,22 +94,15 @@ def _peak_torque(drive: IdentifiedDrive, largest: float = 1.0) -> _Local | None:
 class _Local:
     """Flux linkages and incremental inductances at a current, and their changes by M independent causes of error.
 
-    Parameters
-    ----------
-    i_d, i_q : float
-        A.
-    psi, changes : (2,), (2, M) float
-        Wb; M is 0 where the joint errors are not known.
-    slopes, slope_changes : (2,), (2, M) float
-        dpsi_d/di_d and dpsi_q/di_q, H.
+    M is 0 where the joint errors are not known.
     """
 
-    i_d: float
-    i_q: float
-    psi: FloatArray
-    changes: FloatArray
-    slopes: FloatArray
-    slope_changes: FloatArray
+    i_d: float  # A
+    i_q: float  # A
+    psi: FloatArray  # (2,), Wb
+    changes: FloatArray  # (2, M), Wb
+    slopes: FloatArray  # (2,), dpsi_d/di_d and dpsi_q/di_q, H
+    slope_changes: FloatArray  # (2, M), H
 
     @classmethod
     def at(cls, drive: IdentifiedDrive, i_d: float, i_q: float, *, continued: bool = False) -> _Local | None:

@@ -91,20 +91,12 @@ class FluxMap:
     def inductances(self, i_d: ArrayLike, i_q: ArrayLike, outside: Outside = "nan") -> FloatArray:
         """Return the incremental inductances: derivatives of the flux linkages with respect to the currents.
 
-        Parameters
-        ----------
-        i_d, i_q, outside
-            See :meth:`psi_dq`.
+        Arguments and errors are those of :meth:`psi_dq`.
 
         Returns
         -------
         (..., 2, 2) float
             ``[[L_dd, L_dq], [L_qd, L_qq]]``, ``L_dq`` being dpsi_d/di_q, H.
-
-        Raises
-        ------
-        CoverageError, ConfigurationError
-            See :meth:`psi_dq`.
         """
         i_dq, cells = self._located(i_d, i_q, outside)
         slopes = [self._evaluated(i_dq, order) for order in ((1, 0), (0, 1))]
@@ -113,20 +105,12 @@ class FluxMap:
     def sigma(self, i_d: ArrayLike, i_q: ArrayLike, outside: Outside = "nan") -> tuple[FloatArray, FloatArray]:
         """Return the standard errors of the flux linkages, interpolated bilinearly.
 
-        Parameters
-        ----------
-        i_d, i_q, outside
-            See :meth:`psi_dq`.
+        Arguments and errors are those of :meth:`psi_dq`.
 
         Returns
         -------
         sigma_d, sigma_q : (...) float
             Wb.
-
-        Raises
-        ------
-        CoverageError, ConfigurationError
-            See :meth:`psi_dq`.
         """
         _, cells = self._located(i_d, i_q, outside)
         sigma_d, sigma_q = (np.where(cells.inside, cells.mean(x), np.nan)[()] for x in (self.sigma_d, self.sigma_q))
@@ -214,20 +198,11 @@ class FluxMap:
 
 @dataclass(frozen=True, eq=False)
 class _Cells:
-    """Corners of the grid cells that hold currents (...), and their weights in bilinear interpolation.
+    """Corners of the grid cells that hold currents (...), and their weights in bilinear interpolation."""
 
-    Parameters
-    ----------
-    corners : (..., 4) int
-        Of the grid points, row by row.
-    weights : (..., 4) float
-    inside : (...) bool
-        The map has data at all corners that count.
-    """
-
-    corners: IntArray
-    weights: FloatArray
-    inside: BoolArray
+    corners: IntArray  # (..., 4), of the grid points, row by row
+    weights: FloatArray  # (..., 4)
+    inside: BoolArray  # (...), the map has data at all corners that count
 
     @classmethod
     def of(cls, flux_map: FluxMap, i_dq: FloatArray) -> _Cells:
@@ -406,37 +381,17 @@ class Mechanics:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class IdentifiedDrive(Parameters):
-    """An identified drive: the parameters, the map and how good they are, without their origin.
+    """An identified drive: the parameters, the map and how good they are, without their origin."""
 
-    Parameters
-    ----------
-    method : str
-        ``psm``, ``joint``, ``full`` or ``static``; ``imported`` for a map of another tool.
-    i_max : float
-        Radius of the current disc of the experiment, A.
-    flux_map : FluxMap
-    report : FitReport
-    harmonics : tuple of HarmonicMap
-        Of the rotor position; method ``full``.
-    torque : TorqueFit or None
-        The recorded shaft torque against that of the map.
-    mechanics : Mechanics or None
-        Of a free shaft, by the torque of the map.
-    simulated : SimulatedCurrent or None
-        Where the MAD comes from; None when the result was read from files.
-    linear : LinearMachine or None
-        Magnet flux and inductances at zero current; method ``static``.
-    """
-
-    method: str
-    i_max: float
+    method: str  # psm, joint, full or static; imported for a map of another tool
+    i_max: float  # radius of the current disc of the experiment, A
     flux_map: FluxMap
     report: FitReport
-    harmonics: tuple[HarmonicMap, ...] = ()
-    torque: TorqueFit | None = None
-    mechanics: Mechanics | None = None
-    simulated: SimulatedCurrent | None = None
-    linear: LinearMachine | None = None
+    harmonics: tuple[HarmonicMap, ...] = ()  # of the rotor position; method full
+    torque: TorqueFit | None = None  # the recorded shaft torque against that of the map
+    mechanics: Mechanics | None = None  # of a free shaft, by the torque of the map
+    simulated: SimulatedCurrent | None = None  # where the MAD comes from; None when the result was read from files
+    linear: LinearMachine | None = None  # magnet flux and inductances at zero current; method static
 
     @property
     def origin(self) -> Origin:

@@ -21,17 +21,10 @@ from drive_id.types import GroundTruth, Progress, Samples, silent
 def identify(
     recordings: Sequence[Samples], settings: FitSettings | None = None, tell: Progress = silent
 ) -> IdentifiedDrive:
-    """Identify flux maps, resistance and inverter voltage error jointly from one or several recordings.
+    """Identify flux maps, resistance and inverter voltage error jointly from recordings of one drive.
 
-    Parameters
-    ----------
-    recordings : sequence of Samples
-        Of the same drive; periods and speeds may differ.
-
-    Raises
-    ------
-    StandstillError, CoverageError, DataError
-        When these samples cannot give a trustworthy map.
+    Periods and speeds may differ. Raises StandstillError, CoverageError, DataError when these samples cannot give a
+    trustworthy map.
     """
     settings = settings or FitSettings()
     with one_blas_thread():

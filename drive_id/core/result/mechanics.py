@@ -18,8 +18,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.core.result.block_regression import BlockRegression
-from drive_id.core.result.corrected import corrected_pieces
+from drive_id.core.result.block_regression import SIGNIFICANT, BlockRegression, is_one
 from drive_id.core.result.identification import Cogging, FluxMap, HarmonicMap, IdentifiedDrive, Mechanics
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
@@ -29,15 +28,15 @@ _Flux = Callable[[FloatArray, FloatArray], FloatArray]
 
 ORDERS = (6, 12, 18, 24)
 """Electrical orders of cogging that are looked for."""
-_SHORTEST, _LONGEST = 4e-3, 0.1
-"""Bounds of the width of the bell, s."""
+_SHORTEST = 4e-3  # width of the bell, s, at least
+_LONGEST = 0.1  # at most
 _BELLS = 8
 """Bells per width: neighbours overlap."""
 _SWEEP = 0.06
 """Half the frequency at which i_d sweeps the disc, relative to that of the torque: what errors of the map leave repeats
 with the sweep, and is no scatter."""
-_FEWEST, _MOST = 8, 40
-"""Cosines below that frequency by which the scatter is estimated."""
+_FEWEST = 8  # cosines below that frequency by which the scatter is estimated, at least
+_MOST = 40  # at most
 _OUTSIDE = 0.05
 """Share of a bell in which the current may lie beyond the data of the map, where its continuation is taken."""
 _RESTING = 0.02
@@ -48,16 +47,13 @@ _EXPLAINED = 0.9
 """Share of the torque's energy that the motion must explain to be that of a free shaft."""
 _HELD = 0.3
 """The same without cogging and ripple, below which a shaft is held: most are, and the waves take a tenth of a fit."""
-_SIGNIFICANT = 30.0
-"""Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
 _TOLD = 5.0
 """Standard errors of friction, viscous friction or load from which on the motion tells it."""
-_SAME_GAIN = 2e-3
 _COMMON = 1e-4
 """What method full leaves in the size common to all fluxes of simulated drives, and no standard error holds."""
 _LEAST_WAVE = 0.05
 """Rms of a harmonic under the bells below which it has averaged out."""
-_SAME_SPEED = 1.2
+_SAME_SPEED = 1.2  # fastest over slowest speed up to which viscous friction is not told from Coulomb's
 _LEAST_VARIATION = 0.05
 """Variation of the squared flux from which on the drag of iron loss is told from viscous friction."""
 _LEAST_TURN = 2 * math.pi
@@ -69,23 +65,15 @@ def with_mechanics(
 ) -> IdentifiedDrive:
     """Return the drive with the mechanics of its free shaft; the same drive if its torque does not move the shaft.
 
-    Parameters
-    ----------
-    drive : IdentifiedDrive
-    excerpts : sequence of Samples
-    pole_pairs : int or None
-        None when unknown: then there are no mechanics.
-    settings : FitSettings
-        For ``inertia`` and ``added_inertia``.
+    There are no mechanics without pole pairs. Of the settings, ``inertia`` and ``added_inertia`` count.
     """
     if pole_pairs is None or not excerpts:
         return drive
     discs = settings.added_inertia
     if discs and len(discs) != len(excerpts):
         drive, discs = replace(drive, statements=(*drive.statements, Message("disc_unused"))), ()
-    pieces = corrected_pieces(excerpts, drive.calibrations)
     known = settings.inertia, drive.error_modes, drive.harmonics
-    found = fit_mechanics(drive.flux_map, pieces, pole_pairs, discs, *known)
+    found = fit_mechanics(drive.flux_map, drive.corrected(excerpts), pole_pairs, discs, *known)
     if found is None:
         return drive
     return replace(drive, mechanics=found, statements=(*drive.statements, *_statements(found)))
@@ -112,24 +100,9 @@ def fit_mechanics(
 ) -> Mechanics | None:
     """Fit inertia, friction, load and cogging to the motion.
 
-    Parameters
-    ----------
-    flux_map : FluxMap
-    pieces : sequence of Samples
-    pole_pairs : int
-    discs : sequence of float, optional
-        Inertia added in each piece, kg m^2. Default: none.
-    inertia : float, optional
-        Known inertia without discs, kg m^2.
-    modes : ErrorModes, optional
-        Of the map. Without them, its errors count for each term as if they all fell on it.
-    harmonics : sequence of HarmonicMap, optional
-        Of the rotor position.
-
-    Returns
-    -------
-    Mechanics or None
-        None if the torque of the map does not explain the motion, as with a load machine, or with too little data.
+    Takes the inertia added in each piece (default: none) and the known inertia without discs, kg m^2, joint errors and
+    rotor-position harmonics of the map. Without the joint errors, its errors count for each term as if they all fell on
+    it. None if the torque of the map does not explain the motion, as with a load machine, or with too little data.
     """
     known = flux_map, pieces, pole_pairs, discs or (0.0,) * len(pieces), inertia
     # most shafts are held: no need to wait until scipy is loaded
@@ -155,9 +128,9 @@ def _fitted(
     """Fit the motion, with a function for the flux and electrical orders of cogging."""
     width = _bell_width(flux_map, flux, pieces)
     motions = [
-        _Motion.of(flux_map, flux, run, pole_pairs, disc, width, orders)
+        _Motion.of(flux_map, flux, piece.part(run.start, run.stop), pole_pairs, disc, width, orders)
         for piece, disc in zip(pieces, discs, strict=True)
-        for run in map(piece.part, *_edges(piece))
+        for run in piece.runs()
     ]
     data = np.concatenate([motion.rows[motion.kept] for motion in motions])
     if len(data) < _BELLS * _FEWEST:
@@ -208,9 +181,9 @@ def _fitted(
         cogging=tuple(
             Cogging(orders[(column - _HARMONICS) // _PER_ORDER], *(by * x for x in solution.amplitude(column)))
             for column in looked
-            if solution.wald(column) > _SIGNIFICANT
+            if solution.wald(column) > SIGNIFICANT
         ),
-        cogging_visible=by * math.sqrt(_SIGNIFICANT) * max(map(solution.scatter, looked)) if looked else None,
+        cogging_visible=by * math.sqrt(SIGNIFICANT) * max(map(solution.scatter, looked)) if looked else None,
         gain=None if gain is None else gain[0],
         sigma_gain=None if gain is None else gain[1],
         explained=float(explained),
@@ -268,11 +241,6 @@ def _of_speeds(speed: FloatArray) -> list[int]:
     return [_FRICTION, *([_VISCOUS] if high > _SAME_SPEED * low else []), *([_LOAD] if reversed_ else [])]
 
 
-def _edges(piece: Samples) -> tuple[list[int], list[int]]:
-    runs = list(piece.runs())
-    return [run.start for run in runs], [run.stop for run in runs]
-
-
 def _bell_width(flux_map: FluxMap, flux: _Flux, pieces: Sequence[Samples]) -> float:
     """Return half the mean period of the torque, s, by its changes of sign."""
     changes, seconds = 0, 0.0
@@ -303,25 +271,13 @@ def _torque(
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """A gap-free run under bells.
-
-    Parameters
-    ----------
-    samples : Samples
-    bell : (2 H + 3,) float
-    stride : int
-        Samples from one bell to the next.
-    rows : (W, C) float
-        See the columns above.
-    kept : (W,) bool
-        The rows that enter.
-    """
+    """A gap-free run under bells."""
 
     samples: Samples
-    bell: FloatArray
-    stride: int
-    rows: FloatArray
-    kept: NDArray[np.bool_]
+    bell: FloatArray  # (2 H + 3,)
+    stride: int  # samples from one bell to the next
+    rows: FloatArray  # (W, C), see the columns above
+    kept: NDArray[np.bool_]  # (W,), the rows that enter
 
     @classmethod
     def of(
@@ -392,7 +348,7 @@ def _statements(found: Mechanics) -> Iterator[Message]:
     if found.gain is None or found.sigma_gain is None:
         yield Message("motion", **values)
     else:
-        confirmed = abs(found.gain - 1) <= max(2 * found.sigma_gain, _SAME_GAIN)
+        confirmed = is_one(found.gain, found.sigma_gain)
         yield Message("motion.confirmed" if confirmed else "motion.gain", off=abs(found.gain - 1), **values)
     if not found.cogging and found.cogging_visible is not None:
         yield Message("cogging_unseen", visible=found.cogging_visible)

@@ -18,7 +18,7 @@ from drive_id.types import BoolArray, FloatArray
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
     from drive_id.core.maps.monotone import MonotoneMap
 
-_FINE = 48
+_FINE = 48  # splines per axis of a simulated map that shares none with harmonics
 _FAR = 3.0
 """Standard errors beyond which a move contradicts the data."""
 _LEAST_SIGMA = 0.1

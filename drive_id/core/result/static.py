@@ -38,10 +38,10 @@ _NO_INFORMATION = 2.0
 """Standard error, by what voltages and currents suggest, from which a quantity counts as unknown."""
 _REFUSED = 0.2
 """Share of the voltage that the model leaves, beyond which there is no map: as for method full."""
-_WRONG_SIGN = 4.0
-_LARGE_MISFIT = 1.5
-_VAGUE_RESISTANCE = 0.1
-_FEW_COVERED = 0.45
+_WRONG_SIGN = 4.0  # standard errors below zero of a mean slope that no machine has
+_LARGE_MISFIT = 1.5  # rms of the residuals over the noise of the points
+_VAGUE_RESISTANCE = 0.1  # standard error of R, relative
+_FEW_COVERED = 0.45  # share of the disc
 
 
 def identify_static(points: OperatingPoints, settings: FitSettings) -> IdentifiedDrive:

@@ -9,8 +9,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.core.result.block_regression import BlockRegression, grouped
-from drive_id.core.result.corrected import corrected_pieces
+from drive_id.core.result.block_regression import SIGNIFICANT, BlockRegression, grouped, is_one
 from drive_id.core.result.identification import Cogging, FluxMap, IdentifiedDrive, TorqueFit
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
@@ -18,12 +17,13 @@ from drive_id.types import FloatArray, Samples
 MOST_ORDER = 24
 """Highest electrical order of cogging that is looked for."""
 _CHUNK = 1 << 15
-_BLOCKS, _FEWEST_BLOCKS = 40, 8
-_SIGNIFICANT = 30.0
-"""Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
-_SAME_GAIN = 2e-3
-_LARGEST_GAIN_ERROR = 0.05
-_SPEEDS_APART = 1.2
+"""Samples at a time, which bounds the memory."""
+_BLOCKS = 40
+"""Blocks of time, about, between which the residuals scatter."""
+_FEWEST_BLOCKS = 8
+"""Blocks below which their scatter is no standard error."""
+_LARGEST_GAIN_ERROR = 0.05  # beyond which a warning says so
+_SPEEDS_APART = 1.2  # fastest over slowest speed from which on viscous friction is told from Coulomb's
 _SAMPLES_PER_PERIOD = 8.0
 """Samples of the torque signal per period of the highest order, so that interpolation takes away less than 5 %."""
 
@@ -31,17 +31,14 @@ _SAMPLES_PER_PERIOD = 8.0
 def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs: int | None) -> IdentifiedDrive:
     """Return the drive with what the shaft torque in the excerpts says of it; the same drive where there is none.
 
-    Parameters
-    ----------
-    pole_pairs : int or None
-        None when unknown: a statement then says so.
+    Without pole pairs, a statement says that they are unknown.
     """
     pieces = [piece for piece in excerpts if piece.shaft_torque is not None]
     if not pieces:
         return drive
     if pole_pairs is None:
         return replace(drive, statements=(*drive.statements, Message("torque_not_compared.pole_pairs")))
-    found = fit_torque(drive.flux_map, corrected_pieces(pieces, drive.calibrations), pole_pairs)
+    found = fit_torque(drive.flux_map, drive.corrected(pieces), pole_pairs)
     if found is None:
         return replace(drive, statements=(*drive.statements, Message("torque_not_compared.few")))
     warnings = (*drive.report.warnings, *_warnings(found))
@@ -55,39 +52,38 @@ def with_torque(drive: IdentifiedDrive, excerpts: Sequence[Samples], pole_pairs:
 
 @one_blas_thread()
 def fit_torque(flux_map: FluxMap, pieces: Sequence[Samples], pole_pairs: int) -> TorqueFit | None:
-    """Fit gain, friction and cogging to the shaft torque.
+    """Fit gain, friction and cogging to the shaft torque of those pieces that have one.
 
     Linear least squares over sums per block of time, so that memory does not grow with the samples. Standard errors
     come from the scatter between the blocks, because neighbouring residuals are correlated, and from those of the map.
-
-    Parameters
-    ----------
-    pieces : sequence of Samples
-        Those with a shaft torque count.
-
-    Returns
-    -------
-    TorqueFit or None
-        None with too few samples of known torque within the map.
+    None with too few samples of known torque within the map.
     """
     total = sum(len(piece) for piece in pieces)
     size = max(total // _BLOCKS, 1)
-    speeds, orders = _Speeds(), _resolved_orders(pieces)
+    orders = _resolved_orders(pieces)
     blocks: list[FloatArray] = []
+    speeds: list[FloatArray] = []  # the range in each block
+    signs: set[float] = set()
     for piece in pieces:
         for start in range(0, len(piece), min(size, _CHUNK)):
             part = piece.part(start, min(start + min(size, _CHUNK), len(piece)))
             rows = _rows(flux_map, part, pole_pairs, orders)
             if len(rows):
                 blocks.append(rows.T @ rows)
-                speeds.add(rows[:, _SPEED])
+                speeds.append(np.percentile(np.abs(rows[:, _SPEED]), [5, 95]))
+                signs |= set(np.sign(rows[:, _SPEED]).tolist())
     blocks = grouped(blocks, _BLOCKS)
     if len(blocks) < _FEWEST_BLOCKS:
         return None
-    base = [_GAIN, _FRICTION, *([_SPEED] if speeds.apart else []), *([_OFFSET] if speeds.reversed else [])]
+    slow, fast = np.min(speeds, axis=0)[0], np.max(speeds, axis=0)[1]
+    base = [_GAIN, _FRICTION]
+    if fast > _SPEEDS_APART * slow:
+        base.append(_SPEED)
+    if len(signs) > 1:
+        base.append(_OFFSET)
     every = [*base, *range(_HARMONICS, _HARMONICS + 2 * len(orders))]
     solution = BlockRegression.of(np.array(blocks), _TORQUE, every)
-    kept = [(k, order) for k, order in enumerate(orders) if solution.wald(_HARMONICS + 2 * k) > _SIGNIFICANT]
+    kept = [(k, order) for k, order in enumerate(orders) if solution.wald(_HARMONICS + 2 * k) > SIGNIFICANT]
     columns = [*base, *(_HARMONICS + 2 * k + part for k, _ in kept for part in (0, 1))]
     solution = BlockRegression.of(np.array(blocks), _TORQUE, columns)
 
@@ -161,31 +157,9 @@ def _resolved_orders(pieces: Sequence[Samples]) -> list[int]:
     return list(range(1, highest + 1))
 
 
-class _Speeds:
-    """Which directions and speeds a recording has."""
-
-    def __init__(self) -> None:
-        self._low, self._high = np.inf, 0.0
-        self._signs: set[float] = set()
-
-    def add(self, speed: FloatArray) -> None:
-        self._low = min(self._low, float(np.percentile(np.abs(speed), 5)))
-        self._high = max(self._high, float(np.percentile(np.abs(speed), 95)))
-        self._signs |= set(np.sign(speed).tolist())
-
-    @property
-    def apart(self) -> bool:
-        return self._high > _SPEEDS_APART * self._low
-
-    @property
-    def reversed(self) -> bool:
-        return len(self._signs) > 1
-
-
 def _statement(found: TorqueFit) -> Message:
-    confirmed = abs(found.gain - 1.0) <= max(2 * found.sigma_gain, _SAME_GAIN)
     return Message(
-        "torque.confirmed" if confirmed else "torque",
+        "torque.confirmed" if is_one(found.gain, found.sigma_gain) else "torque",
         off=abs(found.gain - 1),
         gain=found.gain,
         sigma_gain=found.sigma_gain,

@@ -9,29 +9,33 @@ import numpy as np
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import radius_warnings
 from drive_id.core.methods.method import Estimate, Limits
-from drive_id.core.methods.registry import method_named
 from drive_id.core.result.identification import FluxMap
 from drive_id.messages import Message
 from drive_id.types import FloatArray
 
-_REVERSED = 0.1
-_FEW_POINTS = 0.005
+_REVERSED = 0.1  # magnet flux against the d axis, over the largest flux
+_FEW_POINTS = 0.005  # share of the map's points whose inductances may be indefinite
 _IMPOSSIBLE = 3.0
 """Standard errors below zero at which a resistance is impossible: by chance one fit in 700 of a machine without any."""
 _FAR_OFF = np.deg2rad(19.0)
 """Correction of the angle at the end of the range that is searched."""
-_INDEFINITE, _INDEFINITE_IN_ITSELF = 0.1, 0.25
-"""Shares of the map without positive definite inductances at which it is condemned, with a simulation that diverges and
-without. Of 288 random drives one is above 0.04: 0.48, with 57 % of flux error."""
-_DECIMATED, _DECIMATED_TURN = (-0.55, -0.22), np.deg2rad(4.0)
-"""Delays of the voltages, samples, of a log with every n-th sample, -(n - 1)/(2 n), and the least turn per sample."""
+_INDEFINITE = 0.1
+"""Share of the map without positive definite inductances at which it is condemned, with a simulation that diverges. Of
+288 random drives one is above 0.04: 0.48, with 57 % of flux error."""
+_INDEFINITE_IN_ITSELF = 0.25  # the same without such a simulation
+_DECIMATED = (-0.55, -0.22)  # delays of the voltages, samples, of a log with every n-th sample: -(n - 1)/(2 n)
+_DECIMATED_TURN = np.deg2rad(4.0)  # per sample, at least
 
 
 def review(
-    evidence: Evidence, coverage: float, estimate: Estimate, flux_map: FluxMap, mad: tuple[float, float]
+    evidence: Evidence,
+    coverage: float,
+    estimate: Estimate,
+    flux_map: FluxMap,
+    mad: tuple[float, float],
+    limits: Limits,
 ) -> tuple[Message, ...]:
     """Return one warning per weakness, most basic first."""
-    limits = method_named(evidence.settings.method).limits
     return (
         *(
             finding
@@ -51,15 +55,17 @@ def condemned(
     evidence: Evidence, estimate: Estimate, flux_map: FluxMap, mad: tuple[float, float], limits: Limits
 ) -> Message | None:
     """Return why no machine can have this result, or None."""
+    if not limits.impossible:
+        return None
     resistance, sigma = estimate.resistance, estimate.sigma_resistance
-    if limits.impossible and resistance < -_IMPOSSIBLE * sigma:
+    if resistance < -_IMPOSSIBLE * sigma:
         return because(evidence, "impossible_resistance", resistance=resistance, sigma_resistance=sigma)
     told = any(finding.code == "angle_offset" for finding in evidence.findings)
     off = (c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations)
-    if limits.impossible and told and any(off):
+    if told and any(off):
         return because(evidence, "impossible_angle")
     i_dq = _with_data(evidence, flux_map)
-    if not limits.impossible or not len(i_dq):
+    if not len(i_dq):
         return None
     share = float((~estimate.positive_definite(i_dq)).mean())
     diverges = not np.isfinite(mad).all()
@@ -111,7 +117,7 @@ def _on_map(evidence: Evidence, estimate: Estimate, flux_map: FluxMap, limits: L
         d, q = i_dq[active].mean(axis=0)
         points = int(active.sum())
         yield Message("indefinite_inductances", points=points, of=len(i_dq), i_d=d, i_q=q, remedy=limits.remedy)
-    psi = np.stack([flux_map.sampled(values, *i_dq.T) for values in (flux_map.psi_d, flux_map.psi_q)], axis=-1)
+    psi = flux_map.bilinear(i_dq)
     magnet = psi[np.hypot(*i_dq.T).argmin(), 0]
     offset = any(finding.code == "angle_offset" for finding in evidence.findings)
     if not offset and magnet < -_REVERSED * np.abs(psi).max():

@@ -10,28 +10,13 @@ from drive_id.types import FloatArray, IntArray
 def mean_voltages(
     u_dq: FloatArray, angle: FloatArray, speed: FloatArray, period: float, every: int, run_starts: IntArray
 ) -> FloatArray:
-    """Return the mean over each logged period of voltages that were held for an n-th of it.
+    """Return the mean over each logged period of voltages that were held for an n-th of it: alpha and beta (N, 2), V.
 
     In the rotor frame the voltages change slowly: those that were not logged are interpolated there linearly, and each
     is held in the stator frame for a period of the control. The last sample of a run has no successor and is held.
 
-    Parameters
-    ----------
-    u_dq : (N, 2) float
-        Logged voltages in the rotor frame at ``angle``, V.
-    angle, speed : (N,) float
-        rad and rad/s.
-    period : float
-        Of the log, s.
-    every : int
-        Samples of the control per logged one, n.
-    run_starts : (S,) int64
-        First sample of each gap-free run.
-
-    Returns
-    -------
-    (N, 2) float
-        Mean voltages in the stator frame, alpha and beta, V.
+    Takes the logged voltages d and q (N, 2), V, at angles (N,), rad, and speeds (N,), rad/s, the period of the log, s,
+    the number n of samples of the control per logged one, and the first sample (S,) of each gap-free run.
     """
     u = u_dq[:, 0] + 1j * u_dq[:, 1]
     following = np.append(u[1:], u[-1])

@@ -15,31 +15,18 @@ _FEWEST = 16
 """Least number of them: their median must not be that of a few late ones."""
 _SUSPECT = 1.5
 """Samples of time without a message from which a gap is suspected."""
-_OUTLYING = 4.0
+_OUTLYING = 4.0  # standard deviations by which a message is delayed that does not count for the period
 
 
 @dataclass(frozen=True, eq=False)
 class EqualSpacing:
-    """Regular stamps of messages.
+    """Regular stamps of messages, and losses: known by the count, or else inferred from lasting steps of the stamps."""
 
-    Parameters
-    ----------
-    stamp : (B,) int64
-        Of the first sample of each message, ns.
-    period : float
-        s.
-    jitter : float
-        Root mean square distance of the recorded stamps from these, s.
-    missing, gaps : int
-        Samples between the messages that are missing, and the number of places; known by the count, or else inferred
-        from lasting steps of the stamps.
-    """
-
-    stamp: IntArray
-    period: float
-    jitter: float
-    missing: int
-    gaps: int
+    stamp: IntArray  # (B,), of the first sample of each message, ns
+    period: float  # s
+    jitter: float  # root mean square distance of the recorded stamps from these, s
+    missing: int  # samples between the messages
+    gaps: int  # places where samples are missing
 
 
 def equal_spacing(
@@ -47,24 +34,17 @@ def equal_spacing(
 ) -> EqualSpacing:
     """Replace stamps that jitter by those of equally spaced samples.
 
+    Raises SamplePeriodError when the stamps do not advance, so that there is no period.
+
     Parameters
     ----------
-    stamp : (B,) int64
-        Recorded stamps of the messages in order of their samples, ns; they may run backwards.
-    samples : (B,) int64
-        In each message.
+    stamp, samples : (B,) int64
+        Recorded stamps of the messages in order of their samples, ns, which may run backwards, and samples in each.
     first : (B,) int64, optional
         Running count of the first sample of each message; a count that restarts begins a new stretch. Without it,
         nothing is lost but where the stamps step forward by whole periods for good.
     period : float, optional
         Sample period, s; default: total time over the number of samples.
-    name : str
-        For messages.
-
-    Raises
-    ------
-    SamplePeriodError
-        When the stamps do not advance, so that there is no period.
     """
     count = np.concatenate([[0], np.cumsum(samples)[:-1]]).astype(np.int64)
     since: FloatArray = (stamp - stamp[0]).astype(np.float64)

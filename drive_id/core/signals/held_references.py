@@ -12,10 +12,7 @@ from drive_id.types import FloatArray, IntArray
 class HeldReferences:
     """References as they arrive, ahead of time or late, without those that are past.
 
-    Parameters
-    ----------
-    period : float or None
-        Time between them, s: each is held for at most 1.5 of it. None: that of the samples.
+    Each is held for at most 1.5 times their period, s; None: that of the samples.
     """
 
     def __init__(self, period: float | None) -> None:
@@ -39,19 +36,10 @@ class HeldReferences:
         self._values = np.concatenate([self._values[:kept], values])
 
     def at(self, stamp: IntArray, period: float) -> FloatArray | None:
-        """Return the references valid at increasing stamps, and forget those before the last stamp.
+        """Return the references (N, 2), A, valid at increasing stamps (N,), ns, and forget those before the last stamp.
 
-        Parameters
-        ----------
-        stamp : (N,) int64
-            ns.
-        period : float
-            Of the samples, s, a tenth of which a reference may come late.
-
-        Returns
-        -------
-        (N, 2) float or None
-            A, NaN where there are none; ``None`` as long as there were none at all.
+        A reference may come late by a tenth of the period of the samples, s. NaN where there are none; None as long as
+        there were none at all.
         """
         if not len(self._stamp):
             return None

@@ -8,15 +8,15 @@ arrive, in bounded memory; :func:`join` gives it whole signals and no bound.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drive_id.core.signals.held_references import HeldReferences
-from drive_id.core.signals.join_report import JoinReport, join_warnings
-from drive_id.core.signals.joined_rows import JoinedRows, derived_speed
 from drive_id.core.signals.matching import Phase, partners
 from drive_id.core.signals.period import check_agreement, measured_period, period_text
 from drive_id.core.signals.scalar_track import ScalarTrack
@@ -32,24 +32,20 @@ SHORTEST_RUN = 4
 """Fewest samples of a gap-free run that is kept."""
 ToPhases = Callable[[FloatArray, FloatArray, FloatArray, float], FloatArray]
 """Turns recorded values into phase quantities, see :class:`StreamJoin`."""
-_LOCKING_PAIRS = 1000
-_UNLIMITED = 1 << 62
+_LOCKING_PAIRS = 1000  # on which the offset between live signals is measured
+_UNLIMITED = 1 << 62  # samples
+_FEW_JOINED = 0.9
+"""Share of the samples that found partners below which that is reported."""
+_Rows = list[NDArray[Any]]
+"""Samples with their partners: stamps (N,), currents and voltages (N, 3), angle and speed (N, 2) or angle (N, 1)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Joined samples.
-
-    Parameters
-    ----------
-    samples : Samples
-        Of one run or of several.
-    continues : bool
-        They begin with the last sample of the piece before.
-    """
+    """Joined samples, of one run or of several."""
 
     samples: Samples
-    continues: bool
+    continues: bool  # they begin with the last sample of the piece before
 
 
 def joined(pieces: Sequence[Piece]) -> Samples:
@@ -92,18 +88,8 @@ def join(
 
     Raises
     ------
-    EmptyTopicError
-        When a signal has no sample.
-    NonFiniteError
-        When a value is NaN or infinite.
-    StampOrderError
-        When more than 1 % of a signal would have to be cut out.
-    SamplePeriodError
-        When the periods of the signals, or the declared and the stamped one, differ by more than 1 %.
-    NoOverlapError
-        When nothing, or no run of a few samples, is common to the three.
-    DataError
-        When the stamps of two signals are not locked to each other, or lie half a period apart.
+    EmptyTopicError, NonFiniteError, SamplePeriodError, DataError
+        See :meth:`StreamJoin.check`.
     """
     signals = (currents, voltages, resolver)
     reference = None
@@ -128,6 +114,15 @@ def join(
     end, pieces = joining.finished()
     end.check()
     return JoinResult(joined(pieces), end.report())
+
+
+@dataclass(frozen=True)
+class JoinReport:
+    """What became of the signals of one recording."""
+
+    samples: int  # in the result
+    gaps: int  # breaks found, also around stretches that were too short to keep
+    warnings: tuple[Message, ...]  # what is missing, cut out or shifted
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,39 +204,31 @@ class StreamJoin:
         self._to_phases = to_phases
         self._waiting: list[Piece] = []  # for the optional signals
         self._cut = 0  # samples without a DC-link voltage
-        self._offsets: tuple[int, int] | None = None
-        self._phases = (Phase(), Phase())
+        self._offsets: tuple[int, ...] = ()  # of voltages and resolver, ns; empty until they are known
+        self._phases: tuple[Phase, ...] = (Phase(), Phase())
         self._late = False
         self._given_up_to: int | None = None  # largest stamp of such partners
         self._fault: DataError | None = None
-        self._taken: list[int | None] = [None, None]
-        self._carry = JoinedRows.none()
+        self._taken: tuple[int | None, ...] = (None, None)  # stamps of the last partners
+        self._carry: _Rows = []
         self._continues = False  # the carry is the last sample handed on
         self._joined = 0
         self._early = 0
         self._first_early = 0
-        self._last_stamp: int | None = None  # handed on
-
-    @property
-    def last_stamp(self) -> int | None:
+        self.last_stamp: int | None = None
         """Stamp of the last sample handed on, ns."""
-        return self._last_stamp
 
     def add(self, section: int, piece: Signal) -> list[Piece]:
         """Take a further part of a signal and return what can be joined by now.
 
-        Parameters
-        ----------
-        section : int
-            0 for currents, 1 for voltages, 2 for the resolver with angle and speed.
-        piece : Signal
-            With its declared period, unless it is a whole recorded signal; its losses are those since the part before.
+        The section is 0 for currents, 1 for voltages, 2 for the resolver with angle and speed. The part has its
+        declared period, unless it is a whole recorded signal; its losses are those since the part before.
         """
         track = self.tracks[section]
         if self._given_up_to is not None and len(piece.stamp):
             self._late |= int(piece.stamp.min()) <= self._given_up_to + self._step
         track.add(piece)
-        return self._advance(final=False) if track.fresh >= self._enough(track) else []
+        return self.advance() if track.fresh >= self._enough(track) else []
 
     def _enough(self, track: SignalTrack) -> int:
         """Return the number of fresh samples of a signal at which to join."""
@@ -250,15 +237,7 @@ class StreamJoin:
         return max(self.batch, int(min(self.wait / track.period, self.capacity / 2)))
 
     def add_scalar(self, name: str, piece: Signal) -> None:
-        """Take a further part of an optional signal.
-
-        Parameters
-        ----------
-        name : str
-            Its field in :class:`~drive_id.types.Samples`.
-        piece : Signal
-            (N, 1) values.
-        """
+        """Take a further part, (N, 1) values, of an optional signal by its name in :class:`~drive_id.types.Samples`."""
         if name not in self._scalars:
             self._scalars[name] = ScalarTrack(piece.name, self.capacity)
         self._scalars[name].add(piece)
@@ -268,10 +247,6 @@ class StreamJoin:
         """Whether samples arrived whose partners had been given up."""
         return self._late or any(track.late for track in self._scalars.values())
 
-    def advance(self) -> list[Piece]:
-        """Return what can be joined by now, however little it is."""
-        return self._advance(final=False)
-
     @property
     def failing(self) -> bool:
         """Whether nothing will be joined any more: :meth:`check` says why."""
@@ -280,24 +255,31 @@ class StreamJoin:
     def finished(self) -> tuple[StreamJoin, list[Piece]]:
         """Join the rest as if nothing were to follow, without touching this stream.
 
-        Returns
-        -------
-        join : StreamJoin
-            The stream after its end, for :meth:`check` and :meth:`report`.
-        pieces : list of Piece
-            What was still waiting.
+        Returns the stream after its end, for :meth:`check` and :meth:`report`, and the pieces that were still waiting.
         """
         other = copy.copy(self)
         other.tracks = tuple(track.copy() for track in self.tracks)
-        other._taken = list(self._taken)  # noqa: SLF001  # of its own class
-        other._scalars = {name: track.copy() for name, track in self._scalars.items()}  # noqa: SLF001
+        other._scalars = {name: track.copy() for name, track in self._scalars.items()}  # noqa: SLF001  # of its own class
         other._waiting = list(self._waiting)  # noqa: SLF001
-        return other, other._advance(final=True)  # noqa: SLF001  # of its own class
+        return other, other.advance(final=True)
 
     def check(self) -> None:
-        """Raise what is wrong with the signals, see :func:`join`; call it on a finished stream.
+        """Raise what is wrong with the signals; call it on a finished stream.
 
-        Raises EmptyTopicError, NonFiniteError, StampOrderError, SamplePeriodError, NoOverlapError, DataError.
+        Raises
+        ------
+        EmptyTopicError
+            When a signal has no sample.
+        NonFiniteError
+            When a value is NaN or infinite.
+        StampOrderError
+            When more than 1 % of a signal would have to be cut out.
+        SamplePeriodError
+            When the periods of the signals, or the declared and the stamped one, differ by more than 1 %.
+        NoOverlapError
+            When nothing, or no run of a few samples, is common to the three.
+        DataError
+            When the stamps of two signals are not locked to each other, or lie half a period apart.
         """
         claims = [(f"{track.name} declares", track.period) for track in self.tracks if track.period]
         if len(claims) == len(self.tracks) and not any(track.fault for track in self.tracks):
@@ -338,17 +320,25 @@ class StreamJoin:
 
     def report(self) -> JoinReport:
         """Return what became of the signals."""
-        offsets = (0, *(self._offsets or (0, 0)))
-        signals = tuple(track.report(self.samples, offset) for track, offset in zip(self.tracks, offsets, strict=True))
-        report = JoinReport(signals, self._period, self.samples, self.runs, self.time_lost * 1e-9, self.gaps)
-        warnings = [*join_warnings(report)]
-        late = [track for track in self.tracks if track.given_up and not self._recorded]
-        warnings += [Message("samples_late", samples=track.given_up, topic=track.name) for track in late]
-        partly = [(track.name, track.unknown * self._period) for track in self._scalars.values() if track.unknown]
-        warnings += [Message("signal_unknown", seconds=seconds, topic=topic) for topic, seconds in partly]
+        return JoinReport(self.samples, self.gaps, tuple(self._warnings()))
+
+    def _warnings(self) -> Iterator[Message]:
+        for track, offset in zip(self.tracks, (0, *(self._offsets or (0, 0))), strict=True):
+            yield from track.warnings(offset * 1e-9, self._period)
+        currents = self.tracks[0]
+        finite = currents.read - sum(track.not_finite for track in self.tracks)
+        if self.samples < _FEW_JOINED * finite:
+            yield Message("samples_unused", samples=self.samples, read=currents.read, topic=currents.name)
+        if self.gaps:
+            yield Message("gaps.join", gaps=self.gaps, runs=self.runs, time_lost=self.time_lost * 1e-9)
+        for track in self.tracks:
+            if track.given_up and not self._recorded:
+                yield Message("samples_late", samples=track.given_up, topic=track.name)
+        for scalar in self._scalars.values():
+            if scalar.unknown:
+                yield Message("signal_unknown", seconds=scalar.unknown * self._period, topic=scalar.name)
         if self._cut:
-            warnings.append(Message("duty_cycles_cut", samples=self._cut))
-        return replace(report, warnings=tuple(warnings))
+            yield Message("duty_cycles_cut", samples=self._cut)
 
     @property
     def _step(self) -> float:
@@ -363,8 +353,11 @@ class StreamJoin:
             known = [period for track in self.tracks if (period := track.measured_period)]
         return known[0] if known else 0.0
 
-    def _advance(self, *, final: bool) -> list[Piece]:
-        """Join what can be joined, and what must be for want of room."""
+    def advance(self, *, final: bool = False) -> list[Piece]:
+        """Return what can be joined by now, however little it is, and what must be for want of room.
+
+        ``final``: nothing is to follow.
+        """
         for track in self.tracks:
             track.fold(final=final)
         pieces: list[Piece] = []
@@ -386,16 +379,10 @@ class StreamJoin:
         newest = int(self._waiting[-1].samples.stamp[-1]) if self._waiting else 0
         decided = min((track.decided(newest) for track in self._scalars.values()), default=newest)
         excess = sum(len(piece.samples) for piece in self._waiting) - self.capacity
-        ready = 0
-        while ready < len(self._waiting):
-            samples = self._waiting[ready].samples
-            if not (final or excess > 0 or int(samples.stamp[-1]) <= decided):
-                break
-            excess -= len(samples)
-            ready += 1
-        chosen, self._waiting = self._waiting[:ready], self._waiting[ready:]
-        complete = []
-        for piece in chosen:
+        complete: list[Piece] = []
+        while self._waiting and (final or excess > 0 or int(self._waiting[0].samples.stamp[-1]) <= decided):
+            piece = self._waiting.pop(0)
+            excess -= len(piece.samples)
             scalars: dict[str, Any] = {name: track.at(piece.samples.stamp) for name, track in self._scalars.items()}
             scale = scalars.get(self._scaled_by)
             for name, track in self._scalars.items():
@@ -425,27 +412,26 @@ class StreamJoin:
 
     def _lock(self, *, final: bool) -> bool:
         """Measure the offsets once there are enough pairs; afterwards, or when they cannot be had, say which."""
-        if self._offsets is not None:
+        if self._offsets:
             return True
         if not self._step:
             return False
-        clock = self.tracks[0]
-        phases = tuple(Phase.of(clock.stamp, other.stamp, self._step) for other in self.tracks[1:])
+        clock, others = self.tracks[0], self.tracks[1:]
+        phases = [Phase.of(clock.stamp, other.stamp, self._step) for other in others]
         if not final and min(phase.count for phase in phases) < self.locking:
             return False
         try:
-            self._offsets = (
-                phases[0].offset(self._step, self.tracks[1].name, clock.name),
-                phases[1].offset(self._step, self.tracks[2].name, clock.name),
+            self._offsets = tuple(
+                phase.offset(self._step, other.name, clock.name) for phase, other in zip(phases, others, strict=True)
             )
         except DataError as error:
             self._fault = error
             return False
         return True
 
-    def _match(self, *, final: bool) -> JoinedRows:
+    def _match(self, *, final: bool) -> _Rows:
         """Return the samples whose partners are decided, and forget whatever is past."""
-        clock, others, offsets = self.tracks[0], self.tracks[1:], self._offsets or (0, 0)
+        clock, others, offsets = self.tracks[0], self.tracks[1:], self._offsets
         decided = len(clock.stamp)
         if not final:
             for other, offset in zip(others, offsets, strict=True):
@@ -457,7 +443,9 @@ class StreamJoin:
                 clock.given_up += overdue - decided
                 decided = overdue
         stamp = clock.stamp[:decided]
-        self._measure_drift(stamp)
+        self._phases = tuple(
+            phase + Phase.of(stamp, other.stamp, self._step) for phase, other in zip(self._phases, others, strict=True)
+        )
         rows = self._matched(stamp)
         if decided:
             for other, offset in zip(others, offsets, strict=True):
@@ -469,79 +457,66 @@ class StreamJoin:
     def _note_given_up(self, stamp: int) -> None:
         self._given_up_to = max(stamp, self._given_up_to or stamp)
 
-    def _matched(self, stamp: IntArray) -> JoinedRows:
-        """Return the samples at the clock's ``stamp`` (N,) for which each signal has a partner."""
+    def _matched(self, stamp: IntArray) -> _Rows:
+        """Return the samples at the clock's ``stamp`` (N,) for which each signal has a partner; nothing for none."""
         others = self.tracks[1:]
         found = np.ones(len(stamp), np.bool_)
-        indices = []
-        for k, (other, offset) in enumerate(zip(others, self._offsets or (0, 0), strict=True)):
-            index, there = partners(stamp, other.stamp, offset, self._step, self._taken[k])
+        indices, taken = [], list(self._taken)
+        for k, (other, offset) in enumerate(zip(others, self._offsets, strict=True)):
+            index, there = partners(stamp, other.stamp, offset, self._step, taken[k])
             if there.any():
-                self._taken[k] = int(other.stamp[index[np.flatnonzero(there)[-1]]])
+                taken[k] = int(other.stamp[index[np.flatnonzero(there)[-1]]])
             indices.append(index)
             found &= there
+        self._taken = tuple(taken)
         if not found.any():
-            return JoinedRows.none()
-        values = [other.values[index[found]] for other, index in zip(others, indices, strict=True)]
-        return JoinedRows(stamp[found], self.tracks[0].values[: len(stamp)][found], *values)
-
-    def _measure_drift(self, stamp: IntArray) -> None:
-        first, second = (
-            phase + Phase.of(stamp, other.stamp, self._step)
-            for phase, other in zip(self._phases, self.tracks[1:], strict=True)
-        )
-        self._phases = first, second
-
-    def _hand_on(self, new: JoinedRows) -> list[Piece]:
-        """Divide the joined samples into gap-free runs, leave out the shortest, and hand on the others."""
-        if not len(new):
             return []
-        rows = self._carry.before(new)
-        step = np.diff(rows.stamp)
+        values = [other.values[index[found]] for other, index in zip(others, indices, strict=True)]
+        return [stamp[found], self.tracks[0].values[: len(stamp)][found], *values]
+
+    def _hand_on(self, new: _Rows) -> list[Piece]:
+        """Divide the joined samples into gap-free runs, leave out the shortest, and hand on the others."""
+        if not new:
+            return []
+        rows = [np.concatenate(both) for both in zip(self._carry, new, strict=True)] if self._carry else new
+        stamp = rows[0]
+        step = np.diff(stamp)
         early = step < 0.5 * self._step
         if early.any() and not self._early:
-            self._first_early = int(rows.stamp[np.argmax(early)]) - self.tracks[0].range[0]
+            self._first_early = int(stamp[np.argmax(early)]) - self.tracks[0].range[0]
         self._early += int(early.sum())
-        self._joined += len(new)
+        self._joined += len(new[0])
         starts = [0, *(np.flatnonzero((step > 1.5 * self._step) | early) + 1).tolist()]
-        ends = [*starts[1:], len(rows)]
-        self.gaps += len(starts) - 1
-        chosen: list[slice] = []
-        for start, end in zip(starts, ends, strict=True):
-            goes_on = self._continues and start == 0
-            if (goes_on and end - start > 1) or (not goes_on and end - start >= SHORTEST_RUN):
-                chosen.append(slice(start, end))
-        last = slice(starts[-1], ends[-1])
-        piece = self._piece(rows, chosen)
-        last_is_out = (bool(chosen) and chosen[-1] == last) or (self._continues and last.start == 0)
-        self._carry = rows[len(rows) - 1 :] if last_is_out else rows[last]
-        self._continues = last_is_out
-        return [piece] if piece else []
+        runs = [slice(start, end) for start, end in pairwise([*starts, len(stamp)])]
+        self.gaps += len(runs) - 1
+        least = [2 if self._continues and run.start == 0 else SHORTEST_RUN for run in runs]
+        chosen = [run for run, length in zip(runs, least, strict=True) if run.stop - run.start >= length]
+        pieces = [self._piece(rows, chosen)] if chosen else []
+        self._continues = runs[-1] in chosen or (self._continues and len(runs) == 1)
+        carried = slice(-1, None) if self._continues else runs[-1]
+        self._carry = [values[carried] for values in rows]
+        return pieces
 
-    def _piece(self, rows: JoinedRows, runs: list[slice]) -> Piece | None:
-        """Put runs into one piece, and count them."""
-        if not runs:
-            return None
+    def _piece(self, rows: _Rows, runs: list[slice]) -> Piece:
+        """Put runs, at least one, into one piece, and count them."""
         continues = self._continues and runs[0].start == 0
         lengths = np.array([run.stop - run.start for run in runs])
         starts = np.concatenate(([0], np.cumsum(lengths)[:-1])).astype(np.int64)
-        if len(starts) == 1 or int(lengths.sum()) == len(rows):
-            chosen = rows[runs[0].start : runs[-1].stop]
-        else:
-            chosen = rows[np.concatenate([np.arange(run.start, run.stop) for run in runs])]
-        stamp, period = chosen.stamp, self._period
-        angle = chosen.position[:, 0].copy()
-        derived = chosen.position.shape[1] == 1
-        before = np.concatenate(([self._last_stamp if self._last_stamp is not None else stamp[0]], stamp[:-1]))
-        begun = starts[1:] if continues or self._last_stamp is None else starts
+        part: slice | IntArray = slice(runs[0].start, runs[-1].stop)
+        if len(starts) > 1 and int(lengths.sum()) < len(rows[0]):
+            part = np.concatenate([np.arange(run.start, run.stop) for run in runs])
+        stamp, currents, voltages, position = (values[part] for values in rows)
+        angle, period = position[:, 0].copy(), self._period
+        before = np.concatenate(([self.last_stamp if self.last_stamp is not None else stamp[0]], stamp[:-1]))
+        begun = starts[1:] if continues or self.last_stamp is None else starts
         self.time_lost += float(np.sum(stamp[begun] - before[begun]) - self._step * len(begun))
         self.samples += len(stamp) - continues
         self.runs += len(runs) - continues
-        self._last_stamp = int(stamp[-1])
-        speed = derived_speed(angle, starts, period) if derived else chosen.position[:, 1].copy()
+        self.last_stamp = int(stamp[-1])
+        speed = position[:, 1].copy() if position.shape[1] > 1 else _derived_speed(angle, starts, period)
         i_abc, u_abc = (
             values if convert is None else convert(values, angle, speed, period)
-            for values, convert in zip((chosen.i_abc, chosen.u_abc), self._to_phases, strict=True)
+            for values, convert in zip((currents, voltages), self._to_phases, strict=True)
         )
         samples = Samples(
             stamp=fixed(stamp),
@@ -554,6 +529,15 @@ class StreamJoin:
             i_dq_reference=self._reference(stamp, period) if self._reference else None,
         )
         return Piece(samples, continues)
+
+
+def _derived_speed(angle: FloatArray, starts: IntArray, period: float) -> FloatArray:
+    """Differentiate the angle (N,) within each run by central differences, rad/s."""
+    speed = np.empty_like(angle)
+    with np.errstate(over="ignore", invalid="ignore"):  # absurd angles give infinite speeds, which Samples refuses
+        for start, end in zip(starts, np.append(starts[1:], len(angle)), strict=True):
+            speed[start:end] = np.gradient(np.unwrap(angle[start:end]), period)
+    return speed
 
 
 def _overlap_error(ranges: Sequence[tuple[str, int, int]]) -> NoOverlapError:

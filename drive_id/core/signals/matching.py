@@ -9,8 +9,8 @@ import numpy as np
 from drive_id.errors import DataError
 from drive_id.types import BoolArray, IntArray
 
-_LEAST_DIRECTION = 0.5
-_LARGEST_OFFSET = 0.45
+_LEAST_DIRECTION = 0.5  # length of the mean unit vector: 1 for a constant offset, 0 for one that wanders over a period
+_LARGEST_OFFSET = 0.45  # in sample periods: at half of one, the order is a guess
 
 
 def nearest(clock: IntArray, stamp: IntArray) -> IntArray:
@@ -23,18 +23,10 @@ def nearest(clock: IntArray, stamp: IntArray) -> IntArray:
 
 @dataclass(frozen=True)
 class Phase:
-    """Circular mean of the offset of a signal's stamps from those of the clock, over one sample period.
+    """Circular mean of the offset of a signal's stamps from those of the clock, over one sample period."""
 
-    Parameters
-    ----------
-    total : complex
-        Sum of unit vectors.
-    count : int
-        Number of pairs of samples within one period of each other.
-    """
-
-    total: complex = 0j
-    count: int = 0
+    total: complex = 0j  # sum of unit vectors
+    count: int = 0  # pairs of samples within one period of each other
 
     @classmethod
     def of(cls, clock: IntArray, stamp: IntArray, step: float) -> Phase:
@@ -49,19 +41,9 @@ class Phase:
         return Phase(self.total + other.total, self.count + other.count)
 
     def offset(self, step: float, name: str, clock_name: str) -> int:
-        """Return the constant offset of the stamps, ns.
+        """Return the constant offset of the stamps, ns, for a sample period ``step``, ns; the names are for messages.
 
-        Parameters
-        ----------
-        step : float
-            Sample period, ns.
-        name, clock_name : str
-            Of both signals, for messages.
-
-        Raises
-        ------
-        DataError
-            When the offset is not constant, or about half a period.
+        Raises DataError when the offset is not constant, or about half a period.
         """
         if not self.count:
             return 0
@@ -88,22 +70,17 @@ def partners(
 
     Parameters
     ----------
-    clock : (N,) int64
+    clock, stamp : (N,), (M,) int64
         ns, increasing.
-    stamp : (M,) int64
-        ns, increasing.
-    offset : int
-        Of ``stamp`` from the clock, ns.
-    step : float
-        Sample period, ns.
+    offset, step : int, float
+        Of ``stamp`` from the clock, and sample period, ns.
     taken : int, optional
         Stamp of the last partner of an earlier part of the clock, which must not serve again.
 
     Returns
     -------
-    index : (N,) int64
-        Into ``stamp``, valid where ``found``.
-    found : (N,) bool
+    (N,) int64, (N,) bool
+        Index into ``stamp``, and where it is valid.
     """
     if not len(clock) or not len(stamp):
         return np.zeros(len(clock), np.int64), np.zeros(len(clock), np.bool_)

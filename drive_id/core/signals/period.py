@@ -16,12 +16,9 @@ PERIOD_TOLERANCE = 0.01
 
 
 def measured_period(signal: Signal) -> float | None:
-    """Estimate the true sample period of a signal from the stamps of its messages.
+    """Estimate the true sample period of a signal, s, from the stamps of its messages; None with fewer than three.
 
-    Returns
-    -------
-    float or None
-        s; the mean over all neighbouring messages between which nothing is missing. ``None`` with fewer than three.
+    It is the mean over all neighbouring messages between which nothing is missing.
     """
     starts = np.arange(len(signal.stamp)) if signal.block_start is None else signal.block_start
     return usual_period(np.diff(signal.stamp[starts]), np.diff(starts))
@@ -30,10 +27,7 @@ def measured_period(signal: Signal) -> float | None:
 def usual_period(elapsed: IntArray, count: IntArray) -> float | None:
     """Estimate the sample period, s, from the times (B,), ns, and samples (B,) between neighbouring messages.
 
-    Returns
-    -------
-    float or None
-        ``None`` with fewer than two times that are positive.
+    None with fewer than two times that are positive.
     """
     forward = elapsed > 0
     elapsed, count = elapsed[forward], count[forward]
@@ -83,42 +77,26 @@ class Spacings:
             if not self._middle:
                 elapsed, number = self._first()
                 self._middle = float(np.median((elapsed / number)[elapsed > 0]))
-            elapsed, number = later
-            usual = (elapsed > 0) & (np.abs(elapsed - number * self._middle) < 0.5 * self._middle)
-            self._sum = self._sum + later[:, usual].sum(axis=1)
+            self._sum = self._sum + self._usual(later)
 
     def period(self) -> float | None:
         """Return the sample period, s; see :func:`usual_period`."""
         if not self._kept:
             return None
-        elapsed, count = self._first()
         if not self._sum[1]:
-            return usual_period(elapsed, count)
-        usual = (elapsed > 0) & (np.abs(elapsed - count * self._middle) < 0.5 * self._middle)
-        return float((elapsed[usual].sum() + self._sum[0]) / (count[usual].sum() + self._sum[1])) * 1e-9
+            return usual_period(*self._first())
+        elapsed, count = self._usual(self._first()) + self._sum
+        return float(elapsed / count) * 1e-9
 
     def _first(self) -> IntArray:
         self._kept = [np.concatenate(self._kept, axis=1)]
         return self._kept[0]
 
-
-def declared_periods(signals: Sequence[Signal]) -> list[tuple[str, float]]:
-    """Return the declared sample periods, s, each with a text that names the signal.
-
-    Raises SamplePeriodError when one is not a positive time below 10^4 s.
-    """
-    claims = []
-    for signal in signals:
-        period = signal.sample_period
-        if period is None:
-            continue
-        if not (np.isfinite(period) and 1e-9 <= period < 1e4):
-            raise SamplePeriodError(
-                f"{signal.name} declares a sample period of {period} s: correct its publisher or give the period in a "
-                "signals file."
-            )
-        claims.append((f"{signal.name} declares", period))
-    return claims
+    def _usual(self, pairs: IntArray) -> IntArray:
+        """Return the sums (2,) of times, ns, and samples, over the pairs (2, B) within half a period of the median."""
+        elapsed, number = pairs
+        usual = (elapsed > 0) & (np.abs(elapsed - number * self._middle) < 0.5 * self._middle)
+        return np.asarray(pairs[:, usual].sum(axis=1))
 
 
 def period_text(period: float) -> str:

@@ -45,7 +45,11 @@ class SeveralRecordings:
         samples = piece.samples
         if self._period is None:
             self._period = samples.sample_period
-        _check_period(self._period, samples.sample_period, self._number)
+        if abs(samples.sample_period / self._period - 1.0) > PERIOD_TOLERANCE:
+            raise SamplePeriodError(
+                f"The sample periods of the recordings disagree, {period_text(self._period)} in the first and "
+                f"{period_text(samples.sample_period)} in number {self._number + 1}: fit them separately."
+            )
         if self._shift is None:
             self._shift = 0
             if self.end is not None and int(samples.stamp[0]) <= self.end + 2e9 * self._period:
@@ -56,14 +60,6 @@ class SeveralRecordings:
             piece = replace(piece, samples=samples)
         self.end = int(samples.stamp[-1])
         return piece
-
-
-def _check_period(first: float, period: float, number: int) -> None:
-    if abs(period / first - 1.0) > PERIOD_TOLERANCE:
-        raise SamplePeriodError(
-            f"The sample periods of the recordings disagree, {period_text(first)} in the first and "
-            f"{period_text(period)} in number {number + 1}: fit them separately."
-        )
 
 
 def common_truth(truths: Sequence[GroundTruth | None]) -> GroundTruth | None:

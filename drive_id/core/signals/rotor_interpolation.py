@@ -20,39 +20,20 @@ _LARGEST_TURN = 2.6
 
 @dataclass(frozen=True, eq=False)
 class InterpolatedRotor:
-    """Angle and speed at other times.
+    """Angle and speed at other times."""
 
-    Parameters
-    ----------
-    signal : Signal
-        (N, 2) values at those times between its samples, angle in rad, not wrapped, and speed in rad/s.
-    error : float
-        Estimated root mean square error, rad, see :func:`_error`.
-    period : float
-        Of the recorded angle, s.
-    """
-
-    signal: Signal
-    error: float
-    period: float
+    signal: Signal  # (N, 2) values between its samples: angle, rad, not wrapped, and speed, rad/s
+    error: float  # estimated root mean square error, rad, see :func:`_error`
+    period: float  # of the recorded angle, s
 
 
 def interpolated_rotor(rotor: Signal, clock: IntArray) -> InterpolatedRotor:
-    """Interpolate angle and speed at increasing times, by cubics that pass through every sample of the angle.
+    """Interpolate angle and speed at increasing times (N,), ns, by cubics that pass through every sample of the angle.
 
-    Where the speed is recorded, it is the slope of the cubics (Hermite); otherwise the angle is a spline.
+    Where the speed is recorded ((M, 2) values instead of (M, 1)), it is the slope of the cubics (Hermite); otherwise
+    the angle is a spline.
 
-    Parameters
-    ----------
-    rotor : Signal
-        (M, 2) values, angle and speed, or (M, 1), the angle.
-    clock : (N,) int64
-        ns.
-
-    Raises
-    ------
-    DataError
-        When there are fewer than four samples, or the angle turns too far between them.
+    Raises DataError when there are fewer than four samples, or the angle turns too far between them.
     """
     order = np.argsort(rotor.stamp, kind="stable")
     stamp = rotor.stamp[order]

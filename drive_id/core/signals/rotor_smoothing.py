@@ -9,28 +9,17 @@ import numpy as np
 from drive_id.core.signals.signal import Signal
 from drive_id.types import FloatArray
 
-_FEWEST = 5
+_FEWEST = 5  # samples to which parabolas are fitted
 
 
 def smoothed_rotor(rotor: Signal, duration: float) -> tuple[Signal, float]:
     """Replace angle and speed by those of parabolas, fitted at each sample to the samples around it.
 
-    The steps of a coarse angle average out; a change of acceleration within ``duration`` is lost. Gaps are not smoothed
-    across; stretches shorter than the window stay as they are.
+    The steps of a coarse angle average out; a change of acceleration within ``duration``, s, is lost. Gaps are not
+    smoothed across; stretches shorter than the window stay as they are.
 
-    Parameters
-    ----------
-    rotor : Signal
-        (N, 2) values, angle in rad and speed in rad/s, or (N, 1), the angle.
-    duration : float
-        Of the window, s.
-
-    Returns
-    -------
-    signal : Signal
-        (N, 2) values; the angle is not wrapped.
-    moved : float
-        Root mean square change of the angle, rad.
+    Takes (N, 2) values, angle in rad and speed in rad/s, or (N, 1), the angle. Returns (N, 2) values, the angle not
+    wrapped, and the root mean square change of the angle, rad.
     """
     order = np.argsort(rotor.stamp, kind="stable")
     stamp, values = rotor.stamp[order], rotor.values[order]

@@ -11,7 +11,7 @@ from drive_id.types import FloatArray, IntArray
 
 SHORTEST_REACH = 2.0
 """Least time for which a value is held where the signal begins, ends or has a gap, s."""
-_REACH_PERIODS = 3
+_REACH_PERIODS = 3  # of the signal for which a value is held
 
 
 class ScalarTrack:
@@ -75,22 +75,14 @@ class ScalarTrack:
         if self._given_up is not None and int(stamp[0]) <= self._given_up + self.reach:
             self.late = True
         self._latest = int(stamp[-1])
-        self._keep(np.append(self._stamp, stamp), np.append(self._values, values))
-
-    def _keep(self, stamp: IntArray, values: FloatArray) -> None:
-        excess = len(stamp) - self._capacity
-        if excess > 0:
-            self.late = True
-            stamp, values = stamp[excess:], values[excess:]
-        self._stamp, self._values = stamp, values
+        stamp, values = np.append(self._stamp, stamp), np.append(self._values, values)
+        self.late |= len(stamp) > self._capacity
+        self._stamp, self._values = stamp[-self._capacity :], values[-self._capacity :]
 
     def decided(self, newest: int) -> int:
         """Return the stamp, ns, up to which nothing that may still arrive can change the signal.
 
-        Parameters
-        ----------
-        newest : int
-            Stamp of the newest sample of the currents, ns: what is older by twice the reach has waited long enough.
+        What is older than the newest sample of the currents, ns, by twice the reach has waited long enough.
         """
         overdue = newest - 2 * self.reach
         return overdue if self._latest is None or self._period is None else max(self._latest, overdue)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.errors import NonFiniteError, StampOrderError
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 LARGEST_CUT = 0.01
@@ -26,32 +25,18 @@ _OPEN_SAMPLES = 50_000
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """One recorded signal, in order of arrival.
+    """One recorded signal, in order of arrival."""
 
-    Parameters
-    ----------
-    name : str
-        Its topic, for messages.
-    stamp : (N,) int64
-        ns.
-    values : (N, K) float
-        SI units.
-    sample_period : float, optional
-        As declared by its messages or its owner, s. ``None``: estimated from the stamps.
-    block_start : (B,) int64, optional
-        Index of the first sample of each message, beginning with 0. ``None``: one sample per message. The stamps in
-        between follow from the declared period and thus say nothing about the true one.
-    lost, losses : int
-        Samples missing by the messages' own count, and the number of places where they are.
-    """
-
-    name: str
-    stamp: IntArray
-    values: FloatArray
+    name: str  # its topic, for messages
+    stamp: IntArray  # (N,), ns
+    values: FloatArray  # (N, K), SI units
     sample_period: float | None = None
+    """As declared by its messages or its owner, s. None: estimated from the stamps."""
     block_start: IntArray | None = None
-    lost: int = 0
-    losses: int = 0
+    """Index of the first sample of each message (B,), beginning with 0. None: one sample per message. The stamps in
+    between follow from the declared period and thus say nothing about the true one."""
+    lost: int = 0  # samples missing by the messages' own count
+    losses: int = 0  # places where they are
 
 
 def block_stamps(first: int, count: int, period: float) -> IntArray:
@@ -65,59 +50,31 @@ def finite_rows(values: FloatArray) -> BoolArray:
     return finite
 
 
-def non_finite_error(name: str, count: int, after: int) -> NonFiniteError:
-    """Return the error for samples that are not finite, the first ``after`` ns behind the start."""
-    return NonFiniteError(
-        f"{name} holds {count} samples that are NaN or infinite, the first "
-        f"{after * 1e-9:.6f} s after its start: cut the recording there or repair it."
-    )
-
-
-def order_error(name: str, cut: int, count: int, by: int, after: int) -> StampOrderError:
-    """Return the error for stamps out of order, the first one by ``by`` ns, ``after`` ns behind the start."""
-    return StampOrderError(
-        f"{cut} of {count} stamps of {name} repeat or run backwards, the first by "
-        f"{by * 1e-9:.6f} s at {after * 1e-9:.6f} s: "
-        "check the clock of the publisher, or take another stamp source in a signals file."
-    )
-
-
 @dataclass
 class SampleCount:
     """Received and lost samples, by the running count in the blocks.
 
-    Parameters
-    ----------
-    samples : int
-        Received.
-    blocks : int
-        Received.
-    lost, losses : int
-        Samples missing between blocks, and the number of places. A block that arrives late and fills a loss undoes it.
-    restarts : int
-        Places where the count ran backwards: the publisher restarted, or there are two of them.
-    zeros : int
-        Blocks that begin with sample 0.
+    A block that arrives late and fills a loss undoes it.
     """
 
-    samples: int = 0
-    blocks: int = 0
-    lost: int = 0
-    losses: int = 0
-    restarts: int = 0
-    zeros: int = 0
-    _next: int | None = None
+    samples: int = 0  # received
+    blocks: int = 0  # received
+    lost: int = 0  # samples missing between blocks
+    losses: int = 0  # places where they are
+    restarts: int = 0  # places where the count ran backwards: the publisher restarted, or there are two of them
+    zeros: int = 0  # blocks that begin with sample 0
+    due: int | None = None  # first sample of the next block; None before the first one
     _open: deque[tuple[int, int]] = field(default_factory=lambda: deque(maxlen=_OPEN_LOSSES))
 
     def add(self, first_sample: int, samples: int) -> None:
         """Count one block of so many samples, the first of which is number ``first_sample``."""
         end = first_sample + samples
-        due = first_sample if self._next is None else self._next
+        due = first_sample if self.due is None else self.due
         if first_sample > due:
             self._lose(due, first_sample)
         if first_sample >= due or not self._fill(first_sample, end):
             self.restarts += first_sample < due
-            self._next = end
+            self.due = end
         self.samples += samples
         self.blocks += 1
         self.zeros += first_sample == 0
@@ -130,14 +87,9 @@ class SampleCount:
             self.add(int(first_sample[start]), int(whole))
         self.blocks, self.zeros = blocks, zeros
 
-    @property
-    def due(self) -> int | None:
-        """Number of the first sample of the next block; None before the first one."""
-        return self._next
-
     def interrupt(self) -> None:
         """Have the next block begin anew: what is missing before it is not lost."""
-        self._next = None
+        self.due = None
         self._open.clear()
 
     def _lose(self, begin: int, end: int) -> None:
@@ -148,7 +100,7 @@ class SampleCount:
     def _fill(self, begin: int, end: int) -> bool:
         """Take a late block out of the losses, and tell whether it is in one of them."""
         for gap in self._open:
-            if gap[0] <= begin and end <= gap[1] and (self._next or 0) - begin <= _OPEN_SAMPLES:
+            if gap[0] <= begin and end <= gap[1] and (self.due or 0) - begin <= _OPEN_SAMPLES:
                 self._open.remove(gap)
                 self.lost -= gap[1] - gap[0]
                 self.losses -= 1

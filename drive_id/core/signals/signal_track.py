@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import copy
 from collections import deque
+from collections.abc import Iterator
 
 import numpy as np
 
 from drive_id.core.numerics.scans import all_finite, rising
-from drive_id.core.signals.join_report import SignalReport
-from drive_id.core.signals.period import Spacings, declared_periods, usual_period
-from drive_id.core.signals.signal import LARGEST_CUT, LATEST, Signal, finite_rows, non_finite_error, order_error
-from drive_id.errors import DataError, EmptyTopicError, SamplePeriodError
+from drive_id.core.signals.period import Spacings, usual_period
+from drive_id.core.signals.signal import LARGEST_CUT, LATEST, Signal, finite_rows
+from drive_id.errors import DataError, EmptyTopicError, NonFiniteError, SamplePeriodError, StampOrderError
+from drive_id.messages import Message
 from drive_id.types import FloatArray, IntArray
 
-_SAME_PERIOD = 1e-6
-_SPACINGS = 1000
+_SAME_PERIOD = 1e-6  # relative change of a declared period that is rounding
+_SPACINGS = 1000  # times between the latest messages of a live signal, for its measured period
+_LARGE_OFFSET = 0.25
+"""Of stamps from those of the currents, in sample periods, that is reported."""
 MOST_HELD = 20_000
 """Samples behind a gap that may wait for late ones, whatever the sample rate."""
 _NONE: tuple[IntArray, FloatArray] = (np.zeros(0, np.int64), np.zeros((0, 0)))
@@ -42,8 +45,14 @@ class SignalTrack:
     values : (N, K) float
     period : float or None
         As declared, s.
-    read : int
-        Samples that arrived.
+    read, fresh : int
+        Samples that arrived, and those of them since the last :meth:`fold`.
+    repeated, backward : int
+        Samples cut out because their stamp repeats, or lies before, one seen earlier.
+    not_finite : int
+        Samples dropped because they are NaN or infinite.
+    lost, losses : int
+        Samples missing by the messages' own count, and the number of places where they are.
     given_up : int
         Samples dropped because their partners kept them waiting.
     fault : DataError or None
@@ -57,11 +66,10 @@ class SignalTrack:
         self.stamp: IntArray = np.zeros(0, np.int64)
         self.values: FloatArray = np.zeros((0, 0))
         self.period: float | None = None
-        self.read = self.repeated = self.backward = self.lost = self.losses = self.given_up = 0
+        self.read = self.fresh = self.repeated = self.backward = self.lost = self.losses = self.given_up = 0
+        self.not_finite = 0
         self.fault: DataError | None = None
         self._raw: list[Signal] = []
-        self._raw_count = 0
-        self._not_finite = 0
         self._first_not_finite = 0  # ns after the start
         self._first_cut = (0, 0)  # ns by which it lies behind, ns after the start
         self._start: int | None = None
@@ -70,11 +78,6 @@ class SignalTrack:
         self._spacings: deque[tuple[int, int]] = deque(maxlen=_SPACINGS)
         self._whole = Spacings() if recorded else None
         self._last_message: tuple[int, int] | None = None
-
-    @property
-    def fresh(self) -> int:
-        """Samples that arrived since the last :meth:`fold`."""
-        return self._raw_count
 
     @property
     def measured_period(self) -> float | None:
@@ -108,7 +111,7 @@ class SignalTrack:
         self._space(piece)
         if self.fault is None:
             self._raw.append(piece)
-            self._raw_count += count
+            self.fresh += count
 
     def fold(self, *, final: bool = False) -> None:
         """Sort what arrived: drop samples that are not finite, put late ones in their places, and cut the others.
@@ -126,7 +129,7 @@ class SignalTrack:
         if len(arrived) > 1:
             stamp = np.concatenate([part for part, _ in arrived])
             values = np.concatenate([part for _, part in arrived])
-        self._raw, self._raw_count, self._held = [], 0, _NONE
+        self._raw, self.fresh, self._held = [], 0, _NONE
         if self._start is None:
             self._start = int(stamp[0])
             self._latest = self._previous = self._start - 1
@@ -142,9 +145,9 @@ class SignalTrack:
         self._latest = int(stamp[-1]) if len(stamp) else self._latest
         if not all_finite(values):
             finite = finite_rows(values)
-            if not self._not_finite:
+            if not self.not_finite:
                 self._first_not_finite = int(stamp[np.argmin(finite)]) - self._start
-            self._not_finite += len(finite) - int(finite.sum())
+            self.not_finite += len(finite) - int(finite.sum())
             stamp, values = stamp[finite], values[finite]
         if len(self.stamp):
             stamp, values = np.concatenate([self.stamp, stamp]), np.concatenate([self.values, values])
@@ -163,29 +166,32 @@ class SignalTrack:
             raise EmptyTopicError(f"{self.name} holds no sample: record it, or name another topic.")
         if not self.read:
             raise EmptyTopicError(f"No sample of {self.name} has arrived: start the drive, or remap the topic.")
-        if self._not_finite:
-            raise non_finite_error(self.name, self._not_finite, self._first_not_finite)
+        if self.not_finite:
+            raise NonFiniteError(
+                f"{self.name} holds {self.not_finite} samples that are NaN or infinite, the first "
+                f"{self._first_not_finite * 1e-9:.6f} s after its start: cut the recording there or repair it."
+            )
         if self.fault is not None:
             raise self.fault
         cut = self.repeated + self.backward
         if cut > LARGEST_CUT * self.read:
-            raise order_error(self.name, cut, self.read, *self._first_cut)
+            by, after = self._first_cut
+            raise StampOrderError(
+                f"{cut} of {self.read} stamps of {self.name} repeat or run backwards, the first by "
+                f"{by * 1e-9:.6f} s at {after * 1e-9:.6f} s: "
+                "check the clock of the publisher, or take another stamp source in a signals file."
+            )
 
-    def report(self, used: int, offset: int) -> SignalReport:
-        """Return what became of the signal; ``offset`` in ns."""
-        return SignalReport(
-            topic=self.name,
-            read=self.read,
-            used=used,
-            repeated=self.repeated,
-            backward=self.backward,
-            lost=self.lost,
-            losses=self.losses,
-            offset=offset * 1e-9,
-            declared_period=self.period,
-            measured_period=self.measured_period,
-            not_finite=self._not_finite,
-        )
+    def warnings(self, offset: float, period: float) -> Iterator[Message]:
+        """Yield what is missing or cut out, and the offset of the stamps from those of the currents, s, if large."""
+        if self.not_finite:
+            yield Message("samples_not_finite", samples=self.not_finite, topic=self.name)
+        if self.repeated or self.backward:
+            yield Message("stamps_cut", repeated=self.repeated, backward=self.backward, topic=self.name)
+        if self.lost:
+            yield Message("samples_lost", samples=self.lost, places=self.losses, topic=self.name)
+        if abs(offset) > _LARGE_OFFSET * period:
+            yield Message("stamps_shifted", offset=offset, topic=self.name)
 
     def _in_order(self, stamp: IntArray) -> IntArray:
         """Return the indices, in order of time, of stamps (N,) to keep, and count the others."""
@@ -235,12 +241,13 @@ class SignalTrack:
     def _check_period(self, piece: Signal) -> None:
         if self.period is None:
             self.period = piece.sample_period
-            try:
-                declared_periods([piece])
-            except SamplePeriodError as error:
-                self.fault = error
             if self.period is None and self._whole is None:
                 self.fault = SamplePeriodError(f"{self.name} declares no sample period: correct its publisher.")
+            elif self.period is not None and not 1e-9 <= self.period < 1e4:
+                self.fault = SamplePeriodError(
+                    f"{piece.name} declares a sample period of {self.period} s: correct its publisher or give the "
+                    "period in a signals file."
+                )
         elif not abs((piece.sample_period or 0.0) - self.period) <= _SAME_PERIOD * self.period and self.fault is None:
             self.fault = SamplePeriodError(
                 f"The sample period of {self.name} changes from {self.period} to {piece.sample_period} s at stamp "

@@ -14,7 +14,7 @@ from typing import Any
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion
 from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.core.signals.join_report import JoinReport
+from drive_id.core.signals.join import JoinReport
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, SCALAR_SAMPLES
 from drive_id.files.messages.signals_file import SignalMap, our_scalar, read_signals
@@ -253,15 +253,15 @@ class Identifier:
         findings = [*further, *self.folders.findings()]
         streams = (*self._streams, *self._scalar_streams.values())
         findings += [uncounted(stream.topic) for stream in streams if stream.count.counts_nothing]
-        for signal, kind, found in zip(report.signals, TYPES, publishers, strict=True):
-            values |= {f"{signal.topic}: samples": str(signal.read), f"{signal.topic}: samples lost": str(signal.lost)}
-            if signal.not_finite:
-                values[f"{signal.topic}: samples NaN or infinite"] = str(signal.not_finite)
-            findings += publisher_findings(signal.topic, kind, found)
+        for track, kind, found in zip(self.live.join.tracks, TYPES, publishers, strict=True):
+            values |= {f"{track.name}: samples": str(track.read), f"{track.name}: samples lost": str(track.lost)}
+            if track.not_finite:
+                values[f"{track.name}: samples NaN or infinite"] = str(track.not_finite)
+            findings += publisher_findings(track.name, kind, found)
         for stream in self._scalar_streams.values():
             if stream.count.samples:
                 values[f"{stream.topic}: samples"] = str(stream.count.samples)
-        if report.signals[0].read:
+        if self.live.join.tracks[0].read:
             findings += [(Level.WARN, warning) for warning in report.warnings]
         if self._unreadable:
             sentence = f"{self._unreadable} messages could not be read, the last because: {self._last_error}"

@@ -12,7 +12,7 @@ import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.numerics.threads import in_background
+from drive_id.core.numerics.threads import interruptible
 from drive_id.core.result.conclusion import Conclusion
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import DriveIdError
@@ -118,7 +118,7 @@ class Refits:
     def _run(self, snapshot: Snapshot, earlier: Conclusion | None, tell: Progress) -> Refit | None:
         start, spent = self._clock(), time.thread_time()
         try:
-            with in_background(partial(tell, "Refitting", None)):
+            with interruptible(partial(tell, "Refitting", None), alone=True):
                 return of_snapshot(snapshot, earlier)
         except DriveIdError as error:
             self.error = str(error)

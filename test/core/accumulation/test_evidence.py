@@ -173,7 +173,7 @@ def test_recordings_added_one_after_the_other_get_the_same_blocks_as_merged_ones
         together.next_recording()
         together.add(samples)
         part.add(samples)
-        merged.merge(part)
+        merged = merged.merged(part)
     assert len(together.information.blocks) <= most
     assert together.information.block_duration == merged.information.block_duration
     total = together.information.total.max()

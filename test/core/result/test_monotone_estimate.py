@@ -9,7 +9,7 @@ import pytest
 from synthetic import record, saturating_flux
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.methods.registry import method_named
+from drive_id.core.methods.paper import PAPER_METHODS
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather
 from drive_id.core.result.monotone_estimate import made_monotone
@@ -25,7 +25,7 @@ def samples():
 def estimated(samples):
     evidence = gather([samples], FitSettings(method="joint", monotone=True, grid_points=19))
     inside = evidence.inside()
-    return evidence, method_named("joint").conclude(evidence, inside), inside
+    return evidence, PAPER_METHODS["joint"].conclude(evidence, inside), inside
 
 
 def test_the_setting_gives_a_monotone_map_near_the_estimate(samples, estimated):

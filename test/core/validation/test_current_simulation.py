@@ -29,7 +29,7 @@ def experiment(name, rpm, seconds=0.5, **settings):
 def true_model(machine, orders=ORDERS, count=40, nodes=48):
     """Return model, gamma and harmonics: the true map's Fourier coefficients over the rotor position, interpolated."""
     axis = Axis(-1.15 * machine.i_max, 1.15 * machine.i_max, count)
-    sites, theta = axis.sites(), 2 * np.pi / 6 * np.arange(nodes) / nodes
+    sites, theta = np.linspace(axis.low, axis.high, count), 2 * np.pi / 6 * np.arange(nodes) / nodes
     spectrum = np.fft.rfft(machine.flux(sites[:, None, None], sites[:, None], theta), axis=2) / nodes
     inverse = np.linalg.inv(axis.collocation(sites))
 
@@ -62,8 +62,9 @@ def test_a_curve_of_unequal_spacing_is_refused():
 
 def short_run():
     axis = Axis(-350.0, 350.0, 8)
-    sites = np.stack(np.meshgrid(axis.sites(), axis.sites(), indexing="ij"), axis=-1)
-    inverse = np.linalg.inv(axis.collocation(axis.sites()))
+    nodes = np.linspace(axis.low, axis.high, axis.count)
+    sites = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1)
+    inverse = np.linalg.inv(axis.collocation(nodes))
     gamma = np.einsum("ax,by,xyk->kab", inverse, inverse, synthetic.saturating_flux(sites)).ravel()
     harmonics = {6: (0.01 * gamma, -0.02 * gamma), 12: (0.005 * gamma[::-1], 0.005 * gamma)}
     samples = synthetic.record(speed=1500.0, duration=0.02)
@@ -83,8 +84,9 @@ def test_the_true_model_gives_the_measured_current(name, rpm):
 def test_without_harmonics_it_solves_the_papers_equation():
     """Against an adaptive solver, in the paper's form: currents in the rotor frame, and an exact tanh."""
     axis, speed, period, scale = Axis(-350.0, 350.0, 8), 600.0, 1e-4, 30.0
-    sites = np.stack(np.meshgrid(axis.sites(), axis.sites(), indexing="ij"), axis=-1)
-    inverse = np.linalg.inv(axis.collocation(axis.sites()))
+    nodes = np.linspace(axis.low, axis.high, axis.count)
+    sites = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1)
+    inverse = np.linalg.inv(axis.collocation(nodes))
     gamma = np.einsum("ax,by,xyk->kab", inverse, inverse, synthetic.saturating_flux(sites)).ravel()
     model, samples = TensorSpline(axis, axis), synthetic.record(speed=speed, duration=0.02)
     u_s = frames.space_vector(samples.u_abc)

@@ -142,6 +142,12 @@ def csv_dialect(path: Path) -> CsvDialect:
         found = _table([_cells(line, delimiter) for line in lines], delimiter)
         if found is not None:
             return replace(found, encoding=encoding)
+    names, first = (len(_cells(line, ",")) for line in (*lines, "", "")[:2])
+    if first > names > 1:
+        raise MessageTypeError(
+            f"{path} has {first} cells below {names} names, as if commas separated columns and were decimal signs as "
+            "well: write decimal points, or separate columns by semicolons."
+        )
     raise MessageTypeError(
         f"{path} is no table of numbers with the names of its columns above: write these into a line of their own."
     )

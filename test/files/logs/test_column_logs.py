@@ -235,6 +235,13 @@ def test_texts_are_no_tables(tmp_path):
         read_recording(tmp_path / "d.bin", signals())
 
 
+def test_commas_that_separate_and_are_decimal_signs_are_named(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text("t,ia,ib\n" + "0,1,1,25,-0,5\n" * 5)
+    with pytest.raises(MessageTypeError, match="6 cells below 3 names, as if commas separated columns and were decimal"):
+        csv_dialect(path)
+
+
 def test_cells_left_blank_are_no_samples(tmp_path, samples, columns):
     """One table for signals of different rates: the DC link in every tenth row only."""
     sparse = np.where(np.arange(N) % 10 == 0, columns["u_dc"], np.nan)

@@ -8,8 +8,8 @@ from drive_id.errors import ConfigurationError
 from drive_id.origins import METHODS, ORIGINS
 from drive_id.settings import Checked, setting
 
-_MOST_FUNCTIONS = 1024
-MOST_ORDERS = 8
+_MOST_FUNCTIONS = 1024  # of the paper's regression: memory grows with their square
+MOST_ORDERS = 8  # harmonics in a fit: memory grows with their square
 MOST_POLE_PAIRS = 1000
 """The largest ring generators have some hundred."""
 

@@ -12,7 +12,7 @@ from drive_id.inspection.contents import Contents
 from drive_id.inspection.inspect import Inspection
 from drive_id.reporting.tables import plain_table
 
-_MOST_FIELDS = 60
+_MOST_FIELDS = 60  # of a topic that are listed
 
 
 def inspection_tables(found: Inspection) -> Iterator[Table]:

@@ -13,7 +13,7 @@ from drive_id.types import FloatArray
 
 _NODES = 6
 """Grid points along each axis through which a polynomial is laid around a current."""
-_COARSE = np.linspace(0.0, np.pi, 361)
+_COARSE = np.linspace(0.0, np.pi, 361)  # rad: angles of the current, half a degree apart, among which MTPA is refined
 _FINE = np.deg2rad(np.linspace(-1.5, 1.5, 25))
 """Angles, rad, at which MTPA is searched; the torque is flat there, so 0.1° cost 2e-6 of it."""
 _RADII = (1.0, 0.98, 0.95, 0.9, 0.8, 0.7, 0.6, 0.5)

@@ -28,14 +28,14 @@ DAMAGED = (
     NotImplementedError, OverflowError, RuntimeError, zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError,
 )  # fmt: skip
 """What reading a damaged archive, and what is made of its arrays, may raise."""
-_LONGEST_REASON = 120
+_LONGEST_REASON = 120  # characters of what a library says of a damaged file
 UNPACKED = 1 << 25
 """Bytes that an archive of any size may unpack to."""
 RATIO = 16
 """Further bytes that it may unpack to for each of its own."""
 LARGEST = 1 << 30
 """Bytes to which none may unpack."""
-_LARGEST_DIRECTORY = 1 << 20
+_LARGEST_DIRECTORY = 1 << 20  # bytes of the directory of a zip file: some 10 000 arrays
 _END = b"PK\5\6"  # of the end record of a zip archive
 _END_SIZE = 22  # bytes, without its comment
 _PLAIN = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)

@@ -12,13 +12,13 @@ import yaml
 
 MOST_ENTRIES = 300_000
 """Scalars, lists and mappings in one file, aliases counted with what they stand for."""
-_DEEPEST = 100
+_DEEPEST = 100  # levels: Python recurses for each
 _TOO_DEEP = "it is nested too deeply"
 _LIBYAML_TOO_DEEP = "exceeded maximum nesting depth"
 """What libyaml says from 0.2.6 on."""
-_LONGEST_SEXAGESIMAL = 64
+_LONGEST_SEXAGESIMAL = 64  # characters of a number such as 1:30, whose digits yaml multiplies out
 _NUMBERS = ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float")
-_SHORT = 1 << 14
+_SHORT = 1 << 14  # characters that cannot hold more entries than are allowed
 _FASTEST = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 

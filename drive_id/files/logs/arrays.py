@@ -13,7 +13,7 @@ from drive_id.files.inputs.matlab import read_matlab
 from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, SlicedLog
 from drive_id.files.storage.container import UnpackBudget
 
-_MOST_COLUMNS = 64
+_MOST_COLUMNS = 64  # of one array that are offered as signals
 _NAMED_DATA = (("Name", "Data"), ("label", "values"))
 """Fields that hold name and values in the structs of measurement tools."""
 

@@ -22,7 +22,7 @@ WHITE = r"\s+"
 _DELIMITERS = ("\t", ";", ",", "|", WHITE)
 _CLOCK = re.compile(r"\s*\d{1,3}:\d\d(:\d\d)?([.,]\d+)?\s*")
 _DATES = ("ISO8601", "%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S")
-_HEAD = 1 << 16
+_HEAD = 1 << 16  # bytes that tell how a table is written
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
 """Pandas 3 reads every digit without being asked."""
 _LAST = 50

@@ -13,7 +13,7 @@ from drive_id.types import GroundTruth
 
 _ARRAYS = ("i_d", "i_q", "psi_d", "psi_q", "inverter_current", "inverter_voltage")
 _NUMBERS = ("resistance", "i_max", "pole_pairs")
-_LARGEST = 1 << 27
+_LARGEST = 1 << 27  # bytes of arrays, a hundred times those of a simulation
 _ERRORS = (ConfigurationError, *DAMAGED)
 
 

@@ -16,7 +16,7 @@ from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo, file_s
 if TYPE_CHECKING:
     from drive_id.files.logs.column_log import ColumnLog
 
-_LONGEST_SENTENCE = 2000
+_LONGEST_SENTENCE = 2000  # characters of what is said of a damaged bag
 
 
 @dataclass(frozen=True, kw_only=True)

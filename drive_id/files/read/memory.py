@@ -10,7 +10,7 @@ BYTES_PER_SAMPLE = 480
 """Peak memory of reading and joining a whole log, per sample of the currents."""
 _FIRST = 1 << 16
 """Samples before the first estimate; repeated at every doubling."""
-_SHARE = 0.9
+_SHARE = 0.9  # of the free memory that reading may take
 _GIGA = 1e-9
 _CACHES = ("inactive_file ", "active_file ")
 """Page cache of a container (cgroup), which the kernel frees on demand."""

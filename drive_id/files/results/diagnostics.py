@@ -17,7 +17,7 @@ from drive_id.files.inputs.archive import npz_bytes, read_arrays
 from drive_id.types import FloatArray
 
 DIAGNOSTICS = "diagnostics.npz"
-_LARGEST = 1 << 27
+_LARGEST = 1 << 27  # bytes of arrays, a hundred times those of a fit
 _FORMAT_VERSION = 1
 _NUMBERS = (
     "resistance", "sigma_resistance", "voltage_error", "sigma_voltage_error", "residual_rms", "mad_d", "mad_q",

@@ -58,7 +58,7 @@ _PHASES = ("voltage_a", "voltage_b", "voltage_c")
 _AMPLITUDES = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
 _MODES = tuple(f"modes_{entry.name}" for entry in fields(ErrorModes))
 """Arrays of the joint errors: one standard error of each of M independent causes along the first axis."""
-_LARGEST = 1 << 27
+_LARGEST = 1 << 27  # bytes of a file of a result, a hundred times those of a fit
 _DAMAGE = (DriveIdError, *DAMAGED)
 
 

@@ -38,8 +38,8 @@ FORMAT_VERSION = 8
 _SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed", "run_starts")
 _OPTIONAL = ("i_dq_reference", *SCALARS)
 _DIGEST = "sha256"
-_LONGEST_HEADER = 1 << 23
-_MOST_SAMPLES = 1 << 53
+_LONGEST_HEADER = 1 << 23  # bytes, with the findings of many bags
+_MOST_SAMPLES = 1 << 53  # whole numbers that a float holds exactly
 _COUNTS = ("samples", "gaps", "idle", "_differences", "information/rows", "information/outside")
 _UNBOUNDED = ("information/filled",)
 """Infinite before a recording begins; all other sums are finite."""

@@ -30,7 +30,7 @@ _UNPACKED = 1 << 28
 _RATIO = 100
 """Further bytes for each of its own: constant samples are packed well."""
 _LZ4_FLAGS = 4
-_PIECE = 1 << 20
+_PIECE = 1 << 20  # bytes unpacked at once, after which the budget is asked
 _AT_ONCE = 1 << 24
 """Bytes of memory that are taken on a declared size alone."""
 _DECOMPRESSION_ERRORS = (zstandard.ZstdError, RuntimeError, EOFError, ValueError)

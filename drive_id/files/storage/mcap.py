@@ -50,8 +50,8 @@ _TAIL = RECORD.size + _FOOTER.size + len(MCAP_MAGIC)
 _LARGEST_RECORD = LARGEST_CHUNK + (1 << 20)
 _MOST_DEFINED = 1 << 18
 """Schemas and channels in one file, and in one chunk with repetitions; both have numbers of 16 bits."""
-_LARGEST_BREAK = 1 << 22
-_BUFFER = 1 << 20
+_LARGEST_BREAK = 1 << 22  # bytes between a damage and the end of the file that a power cut leaves
+_BUFFER = 1 << 20  # bytes: a bag is read from front to back
 _NEVER_WRITTEN = 0
 """No opcode, but what a disk returns where the size of a file was stored and its content was not."""
 _NO_SCHEMA = records.Schema(id=0, name="", encoding="", data=b"")

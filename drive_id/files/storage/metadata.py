@@ -18,7 +18,7 @@ from drive_id.files.storage.container import full_type
 from drive_id.files.storage.durable import sync_folder, write_synced
 
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
-_LARGEST = 1 << 23
+_LARGEST = 1 << 23  # bytes of metadata.yaml, with thousands of topics
 _MOST_FILES = 20_000  # a file a minute for two weeks
 _MOST_TOPICS = 20_000  # far more than any robot has
 

@@ -15,8 +15,8 @@ from drive_id.files.inputs.input_file import open_input, shown_size
 from drive_id.files.storage.container import LARGEST_CHUNK, RawMessage, Storage, TopicInfo, file_size, full_type
 
 _SQL_ERRORS = (sqlite3.Error, OSError, UnicodeDecodeError, OverflowError, MemoryError)
-_MOST_TOPICS = 1 << 16
-_LONGEST_TEXT = 1 << 22
+_MOST_TOPICS = 1 << 16  # more are damage
+_LONGEST_TEXT = 1 << 22  # characters of a type or a definition: more are damage
 _STEPS = 100_000  # of sqlite between two looks at the clock: some milliseconds
 _PATIENCE = 20.0  # s that opening a file of any size may take, before sqlite is told to give up
 _BYTES_PER_SECOND = 1e7  # further time by the size: a slow network disk

@@ -21,7 +21,7 @@ from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_informati
 from drive_id.files.write.rosbag2_writer import McapStream, whole_or_nothing
 
 _LIBRARY = "drive_id recover"
-_CHUNK_SIZE = 512 * 1024
+_CHUNK_SIZE = 512 * 1024  # bytes, as the recorder writes
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ CHUNK_SIZE = 64 * 1024
 _COMPRESSIONS = {"": CompressionType.NONE, "zstd": CompressionType.ZSTD, "lz4": CompressionType.LZ4}
 _END_WITHOUT_SUMMARY = struct.pack("<BQI", Opcode.DATA_END, 4, 0) + struct.pack("<BQQQI", Opcode.FOOTER, 20, 0, 0, 0)
 _RESERVE = "reserve.partial"
-_RESERVE_SIZE = 64 * 1024
+_RESERVE_SIZE = 64 * 1024  # bytes that are freed on a full disk, for the end of the bag and its metadata
 
 FileOpener = Callable[[Path], BinaryIO]
 

@@ -16,7 +16,7 @@ from drive_id.types import FloatArray
 
 _WEAKENING = 4.0
 """Highest speed over the corner speed."""
-_SPEEDS = 32
+_SPEEDS = 32  # of the efficiency map, evenly up to the highest
 _TORQUES = 20
 """Points along the axes of the efficiency map: finer ones look the same, and take seconds."""
 _SAME = 1e-6

@@ -36,7 +36,7 @@ from drive_id.inspection.draft import Draft, propose
 from drive_id.messages import Message
 from drive_id.types import Progress, silent
 
-_MUCH_JITTER = 0.1  # of the period, from which on stamps are replaced by a count of samples
+_MUCH_JITTER = 0.1  # of the period, from which on the jitter of stamps is told
 _LOOKED = (ConfigurationError, DataError, EmptyTopicError, MessageTypeError, MissingTopicError)
 """What is wrong with the signals of a log that can be read."""
 

@@ -24,7 +24,7 @@ MOST_GROWTH = 1.25
 """Largest ratio of a request's samples to those of a fit at which the request reuses the fit's selection."""
 _RENEWED_GROWTH = 1.1
 """The same ratio, above which a background fit selects its model again."""
-_FEWEST_SAMPLES = 2000  # for a first provisional map: some turns of the trajectory at 10 kHz
+_FEWEST_SAMPLES = 2000  # for a first provisional map: 0.2 s at 10 kHz
 _LEAST_PERIOD = 1.0  # s between the starts of two fits
 _log = logging.getLogger(__name__)
 

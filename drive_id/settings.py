@@ -22,7 +22,7 @@ _WORDS = {
     bool: ("true or false", "true or false"),
     int: ("a whole number", "whole numbers"),
     float: ("a number", "numbers"),
-    str: ("a text", "texts"),
+    str: ("text", "texts"),
     types.NoneType: ("null", "null"),
 }
 _MAPPING = ("a mapping", "mappings")

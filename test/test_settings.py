@@ -124,7 +124,7 @@ def test_values_are_taken(name, given, expected):
         ({"size": 10**400}, "it must be a number"),
         ({"size": 5000 * "x"}, "xxx...: it must be a number"),
         ({"name": "c"}, "name is 'c': it must be one of a, b."),
-        ({"name": True}, "'name' in file.yaml is True: it must be a text."),
+        ({"name": True}, "'name' in file.yaml is True: it must be text."),
         ({"optional": 2.5}, "optional is 2.5: it must be at most 2.0."),
         ({"optional": "a"}, "it must be a number or null."),
         ({"limit": 1.5}, "it must be a whole number or null."),

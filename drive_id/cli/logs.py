@@ -72,7 +72,7 @@ def _comment(found: "Inspection", *, asked: bool) -> None:
         console.say(f"{finding.code}: {finding}", style="red" if finding.kind == "error" else "yellow")
     console.warn(*found.warnings)
     if not found.findings:
-        console.say("Nothing is wrong with it.")
+        console.say("No problems found.")
     if found.draft is not None:
         console.say("The signals are those of a proposed signals file: --draft FILE writes it.")
 

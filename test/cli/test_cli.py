@@ -426,7 +426,7 @@ HUGE = "1" + 400 * "0"
         ("i_max=-1", "at least"),
         ("i_max=[1, 2]", "must be a number or null"),
         ("method=full speed", "must be one of psm, joint"),
-        ("method=on", "True: it must be a text"),
+        ("method=on", "True: it must be text"),
         ("method=\0", "is not valid YAML"),
     ],
     ids=lambda text: text[:24],

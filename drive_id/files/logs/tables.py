@@ -149,7 +149,7 @@ def csv_dialect(path: Path) -> CsvDialect:
             "well: write decimal points, or separate columns by semicolons."
         )
     raise MessageTypeError(
-        f"{path} is no table of numbers with the names of its columns above: write these into a line of their own."
+        f"{path} is not a table of numbers below a line with the names of its columns: add such a line."
     )
 
 

@@ -63,7 +63,7 @@ class ColumnStream(LogSignals):
     def __init__(self, log: ColumnLog, signals: SignalMap) -> None:
         if not signals.of_columns:
             raise ConfigurationError(
-                f"{log.path} is a {log.kind} file, and its signals are looked for on topics: give a signals file that "
+                f"{log.path} is a {log.kind} file, but the signals are read from topics: give a signals file that "
                 "names columns, which 'drive-id check LOG --draft FILE' proposes."
             )
         self._log = log

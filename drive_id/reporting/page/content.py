@@ -36,7 +36,7 @@ SECTIONS = {
     "currents": "Simulated against measured current",
     "operation": "Torque, MTPA and MTPV",
     "identifiable": "What is known, and what to do next",
-    "method": "Paragraph of method",
+    "method": "Method, as a paragraph",
     "origin": "Settings, inputs and versions",
 }
 """Headings by name, in their order."""

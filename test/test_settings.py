@@ -128,7 +128,7 @@ def test_values_are_taken(name, given, expected):
         ({"optional": 2.5}, "optional is 2.5: it must be at most 2.0."),
         ({"optional": "a"}, "it must be a number or null."),
         ({"limit": 1.5}, "it must be a whole number or null."),
-        ({"either": [1]}, "it must be a number or a text or null."),
+        ({"either": [1]}, "it must be a number or text or null."),
         ({"several": True}, "'several' in file.yaml is True: it must be a list of numbers."),
         ({"several": "12"}, "it must be a list of numbers."),
         ({"several": None}, "it must be a list of numbers."),

@@ -202,8 +202,9 @@ def fit(
     ] = None,
     i_max: options.RadiusOption = None,
     machine: Annotated[
-        str | None, typer.Option(help="Name of the machine, for titles; --set serial=..., bench, operator, notes.")
+        str | None, typer.Option(help="Name of the machine, for titles; --set bench=..., operator, notes.")
     ] = None,
+    serial: Annotated[str | None, typer.Option(help="Serial number of the machine.")] = None,
     signals: options.SignalsOption = None,
     namespace: options.NamespaceOption = "",
     config: Annotated[Path | None, typer.Option(help="YAML file with fit settings.")] = None,
@@ -234,7 +235,7 @@ def fit(
     sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
     stored = sources.stored_settings()
     chosen = options.merged_settings(
-        FitSettings, config, settings, {"method": method, "i_max": i_max, "machine": machine}, stored
+        FitSettings, config, settings, {"method": method, "i_max": i_max, "machine": machine, "serial": serial}, stored
     )
     output = output or options.beside(bags[0], f"_{chosen.method}")
     with console.working(quiet or as_json) as tell:

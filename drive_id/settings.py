@@ -110,14 +110,12 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
     for option in options:
         if option is type(None) and value is None:
             return None
-        if typing.get_origin(option) is tuple:
+        if typing.get_origin(option) is tuple and isinstance(value, (list, tuple)):
             entry_hints = typing.get_args(option)
             variadic = len(entry_hints) == 2 and entry_hints[1] is Ellipsis
-            if variadic and type(value) in (int, float):
-                value = [value]  # one entry needs no brackets
-            if variadic and isinstance(value, (list, tuple)):
+            if variadic:
                 entry_hints = (entry_hints[0],) * len(value)
-            if isinstance(value, (list, tuple)) and len(entry_hints) == len(value):
+            if len(entry_hints) == len(value):
                 return tuple(_convert(v, h, where) for v, h in zip(value, entry_hints, strict=True))
         if option is float and isinstance(value, (int, float, str)) and not isinstance(value, bool):
             try:
@@ -126,8 +124,6 @@ def _convert(value: Any, hint: Any, where: str) -> Any:
                 continue
         if option in (bool, int, str) and type(value) is option:
             return value
-        if option is str and type(value) in (int, float):
-            return str(value)  # a serial number, say
         if isinstance(option, type) and dataclasses.is_dataclass(option) and isinstance(value, option):
             return value  # made before, from a mapping within the mapping
     wanted = " or ".join(_wanted(option) for option in options)

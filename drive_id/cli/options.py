@@ -113,10 +113,14 @@ def merged_settings(
             raise ConfigurationError(f"--set {assignment} is not of the form NAME=VALUE: write it so.")
         try:
             value = load_yaml(text, _MOST_SETTINGS)
-            literal = hints.get(name.strip()) is str and type(value) in (int, float)
-            values[name.strip()] = text.strip() if literal else value  # 0017 is a serial number, not 15
         except unreadable as error:
             raise ConfigurationError(f"The value in --set {assignment:.200} is not valid YAML: quote it.") from error
+        hint = hints.get(name.strip())
+        if type(value) in (int, float) and hint is str:
+            value = text.strip()  # 0017 is a serial number, not 15
+        elif type(value) in (int, float) and hint == tuple[float, ...]:
+            value = [value]  # one voltage needs no brackets
+        values[name.strip()] = value
     chosen = {name: value for name, value in options.items() if value is not None}
     where = [str(config)] if config else []
     where += ["the options"] if assignments or chosen or not config else []

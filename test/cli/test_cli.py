@@ -21,6 +21,8 @@ from drive_bags import blocks_of, changed, renamed, with_arrays, wrapped, write_
 
 import drive_id
 from drive_id.cli import app as cli
+from drive_id.cli.options import merged_settings
+from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import OutputError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES
 from drive_id.files.write.writer import write_recording
@@ -898,3 +900,9 @@ def test_names_neither_move_the_cursor_nor_stop_the_output(tmp_path, simulation,
         assert "Traceback" not in text
         assert all(letter.isprintable() or letter == "\n" for letter in text), text
     assert (tmp_path / "report.html").read_bytes().decode("utf-8")
+
+
+def test_serial_numbers_and_single_voltages_need_no_quotes():
+    """YAML reads 0017 as the octal number 15."""
+    chosen = merged_settings(FitSettings, None, ["serial=0017", "u_dc=540", "notes=on a hot day"], {})
+    assert (chosen.serial, chosen.u_dc, chosen.notes) == ("0017", (540.0,), "on a hot day")

@@ -68,6 +68,11 @@ def drifting(samples):
     return turned | {"speed": samples.speed * share, "angle": angle}
 
 
+def as_phases(vector):
+    """Alpha and beta as a reader takes them for phases a and b."""
+    return np.column_stack([vector.real, vector.imag, -vector.real - vector.imag])
+
+
 def narrow(samples):
     """Samples with currents of the first quadrant, at their times."""
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
@@ -94,6 +99,7 @@ WRONG = {
     "milliamperes": ("current_scale", lambda s: {"i_abc": 1e3 * s.i_abc}),
     "millivolts": ("voltage_scale", lambda s: {"u_abc": 1e3 * s.u_abc}),
     "currents for voltages": ("exchanged", lambda s: {"i_abc": s.u_abc, "u_abc": s.i_abc, "i_dq_reference": None}),
+    "alpha and beta": ("alpha_beta", lambda s: {"u_abc": as_phases(frames.space_vector(s.u_abc))}),
     "between phases": ("line_voltages", lambda s: {"u_abc": s.u_abc - np.roll(s.u_abc, -1, axis=1)}),
     "no voltage": ("no_voltage", lambda s: {"u_abc": 0 * s.u_abc}),
     "jump": ("angle_jump", lambda s: {"angle": s.angle + 2 * (np.arange(len(s)) > 5000)}),

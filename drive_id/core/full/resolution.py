@@ -30,13 +30,16 @@ _FEWER = (1.0, 3.0, 10.0)
 """Factors of the least misfit of a cell that is divided, tried in turn until there are no more cells than allowed."""
 _LEAST = 0.5
 """Misfit over noise, both squared, from which on a cell is too coarse: it recurs in each pass, noise averages out."""
-_BY_CHANCE = 3.0
-"""Standard errors by which the mean misfit of the windows that meet a cell must exceed the least one."""
 _BENT = 0.25
 """Change of an inductance over a cell, relative to the largest: of smooth saturation, a cell meets a tenth."""
+_ROUNDING = 1e-10  # relative, of gradients and values that count as zero
+_ROUNDS = 3  # changes of the free unknowns for each of them: bounds the time
 _STRONG = 64.0
 """Squared misfit relative to the least one from which on a cell is divided by four instead of two: the flux between
 knots is off by the third power of their distance, so halves leave 1/64 of the squared misfit of smooth saturation."""
+
+
+_TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,16 +145,37 @@ def misfit_by_cell(
             np.stack([(ends == cell).sum(axis=1) for cell in range(len(edges) - 1)], axis=1, dtype=np.float64)
         )
     columns = np.concatenate([*of_axes, np.ones((len(i_dq), 1))], axis=1)
-    unit = max(float(expected.mean()), np.finfo(np.float64).tiny)
+    unit = max(float(expected.mean()), _TINY)
     excess, least = (squares - expected) / unit, max(_LEAST, negligible / unit)
-    found, met = np.zeros(columns.shape[1]), np.maximum(columns.sum(axis=0), 1.0)
-    chance = _BY_CHANCE * np.sqrt(columns.T @ excess**2)
-    if np.max((columns.T @ excess - chance) / met) > least:
-        from scipy.optimize import nnls  # noqa: PLC0415  # slow to import, and most drives do without
-
-        found, _ = nnls(columns, excess)
+    found = np.zeros(columns.shape[1])
+    if np.max(columns.T @ excess / np.maximum(columns.sum(axis=0), 1.0)) > least:
+        found = _nonnegative(columns.T @ columns, columns.T @ excess)
     split = of_axes[0].shape[1]
     return Misfit(found[:split], found[split:-1], max(least, _OF_LARGEST * float(found[:-1].max())))
+
+
+def _nonnegative(gram: FloatArray, moment: FloatArray) -> FloatArray:
+    """Return the x (K,) >= 0 that minimizes x' gram x - 2 x' moment (Lawson and Hanson 1974, chapter 23).
+
+    scipy.optimize has the same, and takes 0.4 s to import.
+    """
+    x, free = np.zeros(len(moment)), np.zeros(len(moment), np.bool_)
+    for _ in range(_ROUNDS * len(moment)):
+        gradient = np.where(free, -np.inf, moment - gram @ x)
+        if gradient.max() <= _ROUNDING * np.abs(moment).max():
+            break
+        free[gradient.argmax()] = True
+        while True:
+            trial = np.zeros(len(moment))
+            trial[free] = np.linalg.lstsq(gram[np.ix_(free, free)], moment[free])[0]
+            below = free & (trial <= 0.0)
+            if not below.any():
+                break
+            x += np.min(x[below] / np.maximum(x[below] - trial[below], _TINY)) * (trial - x)
+            free &= x > _ROUNDING * x.max()
+            x[~free] = 0.0
+        x = trial
+    return x
 
 
 def _cell(edges: FloatArray, current: FloatArray) -> IntArray:

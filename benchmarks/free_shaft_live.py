@@ -95,7 +95,7 @@ def row(machine_name: str, heavier: float, folder: Path, time_scale: float) -> s
     if mechanics is not None:
         off = mechanics.inertia - inertia
         shaft = f"{100 * off / inertia:+.3f} % ({off / mechanics.sigma_inertia:+.1f})"
-    bags = [read_bag(folder / bag) for bag in ("bag_shake_1", "bag_shake_2", "bag")]
+    bags = [read_bag(bag) for bag in (*folder.glob("bag_shake_*"), folder / "bag")]
     speed, current = (max(float(np.abs(getattr(bag, x)).max()) for bag in bags) for x in ("speed", "i_abc"))
     for sentence in found.warnings:
         print(f"    {sentence}", flush=True)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from drive_id.core.experiment.encoder import Encoder
-from drive_id.core.experiment.first_start import FirstStart, first_start, shaft_acceleration
+from drive_id.core.experiment.first_start import FirstStart, NoSwingError, first_start, shaft_acceleration
 from drive_id.core.experiment.free_shaft import FASTEST_SWING, swing_frequency
 from drive_id.core.experiment.settings import FIRST_START, FREE_SHAFT, ExperimentSettings, make_trajectory
 from drive_id.errors import ExperimentError
@@ -24,9 +25,11 @@ DRIVE = "drive.yaml"
 _SHAKE_FREQUENCY = 25.0
 """Hz: slow enough for the current controllers, so fast that the shaft turns by a part of a revolution only."""
 _SHAKE_TIME = 1.0  # s
-_SHAKES = (0.2, 0.8)
-"""Amplitudes of the shakes by i_max, the smaller one first: it tells how far the other one may go; the larger one
-leaves room for the overshoot of a controller that does not know the machine."""
+_GENTLE = 0.2
+"""Amplitude of the first shake by i_max, which tells how far the next one may go; twice as much where it moves nothing:
+the inverter's drop can keep a slow controller from driving the current, and friction the shaft from swinging."""
+_STRONG = 0.8
+"""Largest amplitude, which leaves room for the overshoot of a controller that does not know the machine."""
 _SLEW_MARGIN = 1.05
 """Slew rate of the publisher by the steepest slope of the trajectory, which it must not cut."""
 _NOTABLE = 0.9
@@ -103,7 +106,7 @@ def commission(
     folder : Path
         For the files; exists.
     name : str
-        Of the recordings, to which ``_first_start``, ``_shake_1`` and ``_shake_2`` are added.
+        Of the recordings, to which ``_first_start``, ``_shake_1``, ``_shake_2`` and so on are added.
     say : callable
         Called with a word, Turning or Shaking, and a sentence on what is done.
     angle_known : bool
@@ -193,9 +196,8 @@ def _shaken(
     bench: Bench, start: FirstStart, name: str, i_max: float, limit: float, say: Callable[[str, str], None]
 ) -> tuple[float, float]:
     """Shake the shaft, gently first; return its acceleration by i_max and that without reluctance torque, rad/s^2."""
-    acceleration, by_magnets, allowed = 0.0, 0.0, 1.0
-    for number, amplitude in enumerate(_SHAKES, 1):
-        share = min(amplitude, allowed)
+    share, swung = _GENTLE, False
+    for number in count(1):
         say("Shaking", f"The shaft is shaken at {_SHAKE_FREQUENCY:g} Hz with {100 * share:.0f} % of i_max.")
         swing_up(
             bench,
@@ -207,10 +209,20 @@ def _shaken(
             duration=_SHAKE_TIME,
         )
         samples = read_bag(bench.run_experiment(f"{name}_shake_{number}").uri)
-        found = shaft_acceleration(samples, _SHAKE_FREQUENCY, start.angle_offset)
-        acceleration, by_magnets = i_max * found[0], i_max * found[1]
+        try:
+            acceleration, by_magnets = (
+                i_max * each for each in shaft_acceleration(samples, _SHAKE_FREQUENCY, start.angle_offset)
+            )
+        except NoSwingError:
+            if swung or share >= _STRONG:
+                raise
+            share = min(2 * share, _STRONG)
+            continue
+        if swung:
+            break
+        swung = True
         # Where the torque rises with the square of the current, the swing does as well.
-        allowed = share * math.sqrt(limit * 2 * math.pi * _SHAKE_FREQUENCY / (share * acceleration))
+        share = min(_STRONG, share * math.sqrt(limit * 2 * math.pi * _SHAKE_FREQUENCY / (share * acceleration)))
     return acceleration, by_magnets
 
 

@@ -5,16 +5,20 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import yaml
 from ros_bench import DEADLINE, ros_bench
 
+from drive_id.core.experiment.first_start import NoSwingError
 from drive_id.core.validation.metrics import nrmse, true_flux
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.fitting.result import load
 from drive_id.fitting.sources import read_bag
+from drive_id.ros import first_start
 
 NODES = "drive_id.nodes."
 I_MAX = 20.0
@@ -137,3 +141,25 @@ def test_a_swing_beyond_its_band_trips_and_ends_at_zero_current(ros):
     running = [state for state in states if state.state == "running"]
     assert all(np.isfinite(state.bias) for state in running)
     ros.wait(lambda: bool(currents) and currents[-1] < 0.05 * I_MAX, "zero current")
+
+
+@pytest.mark.parametrize("silent", [0, 1, 2, 3])
+def test_a_shaft_that_does_not_swing_is_shaken_with_more_current(monkeypatch, silent):
+    shares: list[float] = []
+
+    def acceleration(*_):
+        if len(shares) <= silent:
+            raise NoSwingError("It does not swing.")
+        return 40.0, 30.0
+
+    monkeypatch.setattr(first_start, "swing_up", lambda _, **values: shares.append(values["amplitude"]))
+    monkeypatch.setattr(first_start, "read_bag", lambda _: None)
+    monkeypatch.setattr(first_start, "shaft_acceleration", acceleration)
+    bench = SimpleNamespace(run_experiment=lambda name: SimpleNamespace(uri=name))
+    shake = partial(first_start._shaken, bench, SimpleNamespace(angle_offset=0.0), "run", 20.0, 1e4, lambda *_: None)
+    if silent == 3:
+        with pytest.raises(NoSwingError):
+            shake()
+    else:
+        assert shake() == (800.0, 600.0)
+    assert shares == [*[0.2, 0.4, 0.8][: silent + 1], *([0.8] if silent < 3 else [])]

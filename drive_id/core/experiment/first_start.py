@@ -37,6 +37,10 @@ _HIGHEST = 2.5
 _COHERENT = 0.7  # least cosine of the angle between torque and acceleration
 
 
+class NoSwingError(ExperimentError):
+    """A shaft does not swing with the torque; more current may help against friction and the inverter's drop."""
+
+
 @dataclass(frozen=True)
 class FirstStart:
     """Result of a first start."""
@@ -191,8 +195,10 @@ def shaft_acceleration(samples: Samples, frequency: float, angle_offset: float =
 
     Raises
     ------
+    NoSwingError
+        When the shaft does not swing with the torque.
     ExperimentError
-        When the shaft does not swing, or against the torque.
+        When it swings against the torque.
     """
     width = max(1, round(_SHAKES / frequency / samples.sample_period))
     count = len(samples.stamp) // width
@@ -213,7 +219,7 @@ def shaft_acceleration(samples: Samples, frequency: float, angle_offset: float =
     if coherent < -_COHERENT:
         raise ExperimentError("The shaft swings against its torque: the angle's offset is wrong by half a turn.")
     if coherent < _COHERENT:
-        raise ExperimentError("The shaft does not swing with the torque: it is locked, loose, or the offset is wrong.")
+        raise NoSwingError("The shaft does not swing with the torque: it is locked, loose, or the offset is wrong.")
     rates = np.tile((2 * np.pi * frequency * orders) ** 2, 2)[:, None]
     acceleration = basis[:, : 2 * len(orders)] @ (rates * both[: 2 * len(orders), :, 1])
     largest = float((np.abs(acceleration).max(axis=0) / np.abs(current))[full].max())

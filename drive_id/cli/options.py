@@ -60,6 +60,7 @@ LinkOption = Annotated[
 ]
 WorkersOption = Annotated[int, typer.Option(help="Processes that read the bags.", min=1)]
 SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, with a warning.")]
+FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with fit settings.")]
 ForceFlag = Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")]
 
 
@@ -95,7 +96,7 @@ def merged_settings(
     from drive_id.files.inputs.input_file import read_text_input
     from drive_id.files.inputs.yaml_tree import load_yaml
 
-    hints = get_type_hints(cls)
+    hints = get_type_hints(cls) if assignments else {}
     unreadable = (OSError, ValueError, RecursionError, yaml.YAMLError)
     values: dict[str, Any] = asdict(base) if base else {}  # type: ignore[call-overload]  # a dataclass
     if config is not None:

@@ -202,7 +202,7 @@ def _mistaken(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | No
     limit = _BETTER_MISTAKEN * declared.unexplained if better is None else better.unexplained
     if fit.unexplained > limit or declared.unexplained < _CERTAIN:
         return None
-    return Message(code, **_compared(declared, fit), **({} if signals is None else {"signals": signals}))
+    return Message(code, **_compared(declared, fit), signals=signals)
 
 
 def _mistakes(*, pairs: bool) -> Iterator[tuple[str, str | None, Callable[[Samples], Samples]]]:

@@ -290,7 +290,7 @@ class FullModel:
         self._beside_flux(windows, out)
         for turn, column, value, start, factor in self._ends(windows, layout, self.orders):
             add_end(column, value, turn, start, factor, out)
-        return _weighted(windows, out)
+        return _weighted(out, windows.weight)
 
     def nonzero_columns(self, windows: Windows) -> Iterator[tuple[FloatArray, IntArray]]:
         """Yield the nonzero columns of all windows in the sums, (2 N, C), and their indices (C,), increasing.
@@ -318,9 +318,8 @@ class FullModel:
             out[:, :, : len(columns[0])] = beside[group][:, :, columns[0]]
             for (turn, column, value, _, factor), (place, first) in zip(ends, 2 * places, strict=True):
                 add_end(place[column[group]], value[group], turn[group], first, factor[:, group].copy(), out)
-            if windows.weight is not None:
-                out *= np.sqrt(windows.weight[group])[:, None, None]
-            yield out.reshape(-1, out.shape[2]), np.concatenate(columns)
+            rows = _weighted(out, None if windows.weight is None else windows.weight[group])
+            yield rows.reshape(-1, out.shape[2]), np.concatenate(columns)
 
     def residuals(self, windows: Windows, estimate: FloatArray) -> FloatArray:
         """Return Z times an estimate (size,), (N, 2), Vs."""
@@ -338,13 +337,13 @@ class FullModel:
         out[:, :, used] = known[:, :, met] @ beside[np.ix_(met, used)]
         for turn, column, value, start, factor in self._ends(windows, self.columns, orders):
             add_end_through(column, value, turn, start, factor, t.indptr, t.indices, t.data, out)
-        return _weighted(windows, out)
+        return _weighted(out, windows.weight)
 
     def map_squares(self, windows: Windows) -> float:
         """Return the sum of the squares of the columns of a free map."""
         first, last = (self.flux.rows(windows.i_dq[:, end]) for end in (0, 1))
         turn = np.cos(windows.angle[:, 1] - windows.angle[:, 0])
-        values = (_weighted(windows, rows.value) for rows in (first, last))
+        values = (_weighted(rows.value, windows.weight) for rows in (first, last))
         empty = np.zeros((2, self.flux.parameters))
         return sum_of_squares(first.column, next(values), last.column, next(values), turn, empty)
 
@@ -396,10 +395,10 @@ def _neighbours(ends: FloatArray) -> tuple[IntArray, list[int]]:
     return np.concatenate(done), np.cumsum([0, *map(len, done)]).tolist()
 
 
-def _weighted(windows: Windows, rows: FloatArray) -> FloatArray:
-    """Multiply rows (N, 2, M) by the roots of the windows' weights."""
-    if windows.weight is not None:
-        rows *= np.sqrt(windows.weight)[:, None, None]
+def _weighted(rows: FloatArray, weight: FloatArray | None) -> FloatArray:
+    """Multiply rows (N, 2, M) by the roots of the weights (N,) of their windows, if they have any."""
+    if weight is not None:
+        rows *= np.sqrt(weight)[:, None, None]
     return rows
 
 

@@ -51,7 +51,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -92,8 +91,6 @@ _SLOWEST = 1.0
 _BENDS = 0.1
 """Of a cell of the map: a shift of the current by which a cubic spline keeps its slope within some percent."""
 
-_CURVE_POINTS = 101
-"""Currents, dense near zero, at which shapes of the drop are compared."""
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -142,7 +139,7 @@ class EffectColumns:
         columns = {name: [between(turn * through(shift)) for shift in shifts] for name, shifts in currents.items()}
         image, unit = windows.current.conj(), windows.duration.astype(np.complex128)
         read = [1j * windows.current, image, 1j * image, unit, 1j * unit]
-        dropped = windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, self._coarse_drop)
+        dropped = windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, self.model.coarse_drop(self.estimate))
         resisted = iter(self.estimate[RESISTANCE] * np.stack(read) + dropped)
         for name in OF_SENSORS:
             columns[name] = [column - next(resisted) for column in columns[name]]
@@ -310,13 +307,6 @@ class EffectColumns:
         """Return f(i) (N, 2) at currents (N, 2), A, in Wb."""
         psi = self.model.flux.rows(frames.as_pairs(i_dq.ravel())).dot(self.estimate[self.model.map])
         return np.asarray((psi @ np.array([1.0, 1j])).reshape(i_dq.shape))
-
-    @cached_property
-    def _coarse_drop(self) -> FloatArray:
-        """Return the coefficients (L,) of the coarse shapes whose sum is the mean drop of the phases, V."""
-        current = self.model.i_max * np.linspace(0.0, 1.0, _CURVE_POINTS) ** 2
-        drop = (self.model.shapes(current) @ self.estimate[self.model.phase_columns()]).mean(axis=1)
-        return np.asarray(np.linalg.lstsq(self.model.shapes.coarse(current), drop)[0])
 
     def _drop(self, i_s: ComplexArray, windows: Windows) -> ComplexArray:
         """Return the inverter's drop at the ends (N, 2) in the stator frame, V."""

@@ -18,7 +18,7 @@ from drive_id.core.full.lack_of_fit import LEAST_TOLD, GroupSums, LackOfFit, tes
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.selection import Selection, effects_to_try, select
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation, squared_inductances
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.maps.flux_models import BasisRows, FluxModel, jacobian
@@ -47,11 +47,6 @@ _PARTS = 4
 """Parts of the windows that are evaluated in parallel threads."""
 _BY_SHAPE = 2.0
 """Standard errors, for white residuals, by which R must change with the shape of the curve to be uncertain by that."""
-_NEAR_ZERO = 0.02
-"""Currents relative to i_max below which the steep inverter curve amplifies current noise."""
-_AT_REST = 5.0
-"""Duration of a window relative to the median from which on the rotor nearly rests: there a misfit of the inverter's
-curve adds up for longer, and the start of a free shaft would stand out."""
 _PASSIVE_POINTS = 41
 """Per axis, at which passivity is tested: two to three for each usual cell."""
 _STIFFER = 10.0
@@ -61,7 +56,7 @@ _ROUNDS = 7
 
 
 _Batch = tuple[FloatArray, float, float, float]
-"""Scores (M,), mean square residual, (Vs)^2, mean square inductance, H^2, and time, s."""
+"""Scores (M,), mean square residual, (Vs)^2, the same by current noise, and time, s."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -84,8 +79,8 @@ class Assessment:
     turn, duration : float
         Median angle, rad, and duration, s, of a window.
     outlying : float
-        Largest mean square residual of a batch of time over the median of all batches. Residuals near zero current,
-        where the inverter amplifies noise, are excluded; those at large inductances, which also do, have less weight.
+        Largest mean square residual of a batch of time over the median of all batches; those at which current noise
+        causes larger ones, as at large inductances or near zero current, have less weight.
     outlying_share : float
         Rms residual of that batch over the rms of the integrated voltages.
     outlying_time : float
@@ -315,7 +310,7 @@ def fit_full(
         drop_slope=_drop_slope(sums.model, solution, kept),
         turn=float(np.median(np.abs(speeds) * durations)),
         duration=float(np.median(durations)),
-        outlying=float(energy.max() / max(np.median(energy[energy > 0]) if energy.any() else 0.0, tiny)),
+        outlying=float(energy.max() / max(np.median(energy), tiny)),
         outlying_share=float(np.sqrt(energy.max() / max(solver.total_voltage, tiny))),
         outlying_time=float(times[energy.argmax()]),
         jump=jump,
@@ -379,9 +374,8 @@ def residual_statistics(
     changes : (size, B) float
         Change of the estimate by each batch.
     energy : (B,) float
-        Comparable energy of each batch, (Vs)^2: the mean square residual of windows away from zero current and from
-        rest, 0 without any, divided by their mean square inductance where that is above average: residuals by current
-        noise are proportional to it.
+        Comparable energy of each batch, (Vs)^2: the mean square residual, divided by what current noise causes in these
+        windows where that is above average.
     time : (B,) float
         s.
     misfit : LackOfFit
@@ -389,17 +383,14 @@ def residual_statistics(
     model, kept = sums.model, sums.kept()
     through = sparse.csr_array(sparse.hstack([solution.basis, solution.estimate[:, None]]))
     covariance = solution.white_covariance  # cached before the threads start
-    longest = _AT_REST * float(np.median(np.concatenate([segment.duration for segment in kept])))
 
     def evaluated(segments: Sequence[Windows]) -> tuple[list[list[_Batch]], GroupSums]:
         batches, groups = [], GroupSums(solution.basis.shape[1])
         for segment in segments:
             rows = model.design_times(segment, through, solution.spec.orders)
-            squares = squared_inductances(model, solution.estimate, segment)
-            away = np.hypot(*np.moveaxis(segment.i_dq, -1, 0)).max(axis=1) > _NEAR_ZERO * model.i_max
-            away &= segment.duration < longest
-            batches.append(_batch_scores(solution, covariance, segment, rows, np.where(away, squares, 0.0)))
-            groups.add(segment, rows, noise.variance * squares, model.i_max)
+            expected = noise.squares(model, solution.estimate, segment)
+            batches.append(_batch_scores(solution, covariance, segment, rows, expected))
+            groups.add(segment, rows, expected, model.i_max)
         return batches, groups
 
     parts = in_threads(evaluated, [kept[number::_PARTS] for number in range(_PARTS)])
@@ -409,20 +400,20 @@ def residual_statistics(
     in_order = (batches for together in zip_longest(*(part for part, _ in parts), fillvalue=()) for batches in together)
     scores, energy, square, time = (np.array(x) for x in zip(*chain.from_iterable(in_order), strict=True))
     share = sums.windows / max(sum(len(segment) for segment in kept), 1)
-    usual = square[square > 0].mean() if square.any() else 1.0
+    usual = max(float(square.mean()), np.finfo(np.float64).tiny)
     changes = np.asarray(solution.basis @ solution.gain(np.sqrt(share) * scores.T))
     energy /= np.maximum(square / usual, 1.0)
     return changes, energy, time, groups.lack_of_fit(model, solution, share)
 
 
 def _batch_scores(
-    solution: FullSolution, covariance: FloatArray, segment: Windows, rows: FloatArray, squares: FloatArray
+    solution: FullSolution, covariance: FloatArray, segment: Windows, rows: FloatArray, expected: FloatArray
 ) -> list[_Batch]:
-    """Return of each batch the scores (ZT)'e (M,), mean square residual, (Vs)^2, mean of ``squares``, and time, s.
+    """Return of each batch the scores (ZT)'e (M,), mean square residual, (Vs)^2, mean of ``expected``, and time, s.
 
     ``rows`` (N, 2, M + 1) are ZT and, last, the residuals r. The residuals e are corrected for leverage by CR2,
     ``e = (I - H)^{-1/2} r`` with ``H = Z cov Z'``, through the binomial series, which bounds the factor on residuals of
-    full leverage. Both means are over windows whose ``squares`` (N,) are not zero.
+    full leverage.
     """
     residuals = rows[..., -1]
     edges = [0, *(1 + np.flatnonzero(np.diff(segment.interval(BATCH)))), len(segment)]
@@ -440,9 +431,8 @@ def _batch_scores(
                 break
         all_scores = np.zeros(len(solution.scale))
         all_scores[met] = total
-        used = start + np.flatnonzero(squares[start:end])
-        energy, square = (float(x[used].mean()) if len(used) else 0.0 for x in (residuals**2, squares))
-        out.append((all_scores, energy, square, float(segment.time[start:end].mean())))
+        energy, square, time = (float(x[start:end].mean()) for x in (residuals**2, expected, segment.time))
+        out.append((all_scores, energy, square, time))
     return out
 
 

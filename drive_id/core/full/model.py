@@ -90,6 +90,8 @@ synchronous with the rotor, so that harmonics and map cannot be separated, the f
 
 _GROUP = 512
 """Most windows per product: smaller groups have fewer nonzero columns but need more calls."""
+_CURVE_POINTS = 101
+"""Currents, dense near zero, at which shapes of the drop are compared."""
 _DROP_RIDGE = 1e-7  # likewise of the shapes of the curve: they are nearly dependent
 _EFFECT_RIDGE = 1e-9
 """Relative to the mean diagonal of Z'Z over the columns: only keeps the factorization of columns without data."""
@@ -271,6 +273,12 @@ class FullModel:
     def phase_columns(self) -> IntArray:
         """Return the columns of the inverter's shapes as (S, 3)."""
         return np.arange(self.drops.start, self.drops.stop).reshape(-1, 3)
+
+    def coarse_drop(self, estimate: FloatArray) -> FloatArray:
+        """Return the coefficients (L,) of the coarse shapes whose sum is the mean drop of the phases, V."""
+        current = self.i_max * np.linspace(0.0, 1.0, _CURVE_POINTS) ** 2
+        drop = (self.shapes(current) @ estimate[self.phase_columns()]).mean(axis=1)
+        return np.asarray(np.linalg.lstsq(self.shapes.coarse(current), drop)[0])
 
     def contains(self, windows: Windows) -> BoolArray:
         """Tell (N,) which windows start and end within the range of the map."""

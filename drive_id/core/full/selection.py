@@ -13,7 +13,7 @@ from drive_id.core.full.effect_search import EffectSearch, plausible_effects, se
 from drive_id.core.full.effects import OF_SENSORS
 from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable, squared_inductances
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.full.zero_crossings import between_crossings
@@ -71,8 +71,6 @@ _SMOOTH = 1.0
 """Penalty of fine cells at first: effects are linearized about the map, which fine cells make rough."""
 _LOCAL = 1e-3
 """Misfit of a cell, relative to the integrated voltage, that matters to nobody."""
-_NEAR_ZERO = 0.04
-"""Currents relative to i_max below which the steep inverter curve amplifies current noise."""
 _LEAST_SHARE = 0.03
 """Share of the squared residuals that a further harmonic must explain: 12 unknowns of 1500 windows explain 0.004."""
 _ABOVE_OTHERS = 6.0
@@ -227,9 +225,8 @@ def _bends(model: FullModel, solution: FullSolution) -> list[FloatArray]:
 
 def _misfit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, total_voltage: float) -> Misfit:
     model, windows = sums.model, Windows.joined(list(sums.kept())).thinned(_MISFIT_WINDOWS)
-    windows = windows.part(np.hypot(*np.moveaxis(windows.i_dq, -1, 0)).min(axis=1) > _NEAR_ZERO * model.i_max)
     squares = np.square(model.residuals(windows, solution.estimate)).sum(axis=1)
-    expected = noise.variance * squared_inductances(model, solution.estimate, windows)
+    expected = noise.squares(model, solution.estimate, windows)
     return misfit_by_cell(model.resolution, windows.i_dq, squares, expected, _LOCAL**2 * total_voltage)
 
 

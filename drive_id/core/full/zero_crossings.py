@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.full.model import FullModel
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, squared_inductances
+from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
 from drive_id.types import FloatArray, IntArray
@@ -116,9 +116,9 @@ def _excess(model: FullModel, solution: FullSolution, windows: Windows, noise: C
 def _squares(
     model: FullModel, solution: FullSolution, windows: Windows, noise: CurrentNoise
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the squared residuals (N,) and their expectation from current noise, (Vs)^2."""
+    """Return the squared residuals (N,) and those that current noise at their ends causes, (Vs)^2."""
     left = model.residuals(windows, solution.estimate)
-    return np.square(left).sum(axis=1), noise.variance * squared_inductances(model, solution.estimate, windows)
+    return np.square(left).sum(axis=1), noise.at_ends(model, solution.estimate, windows)
 
 
 def _ratio(squares: FloatArray, expected: FloatArray) -> float:

@@ -62,6 +62,7 @@ class Case:
     seconds: float = 20.0
 
 
+LOCKED = {"ipm": 0.3, "spm": 1.1, "pmsyrm": 2.0}  # rad, electrical
 FLYWHEEL = {"speed_max": 600.0, "mean_speed": 300.0}
 CREEPING = {"frequency": 60.0, "mean_speed": 60.0}
 CASES = (
@@ -135,6 +136,31 @@ def measured(case: Case, seed: int) -> dict[str, Any]:
     return row
 
 
+def locked(name: str, position: float, seed: int) -> str:
+    """Return a row of the table of locked rotors: errors of the flux minus that at zero current, there and mean."""
+    machine = load_machine(name)
+    settings = SimulationSettings(
+        inverter="tanh", inverter_voltage=0.02 * machine.u_dc, current_noise=1e-3, seed=seed, speeds=(0.0,),
+        start_angle=position,
+    )  # fmt: skip
+    samples = drive_id.simulate(machine, 20.0, settings=settings)
+    found = drive_id.fit(samples, settings=drive_id.FitSettings(method="locked"))
+    flux_map, grid, true = found.flux_map, found.flux_map.grid(), build_machine(machine, settings)
+    i_dq = grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= machine.i_max)]
+    psi, sigma = (np.stack(of(*i_dq.T), axis=-1) for of in (flux_map.psi_dq, flux_map.sigma))
+    zero = np.zeros((1, 2))
+    exact = true.flux(*i_dq.T, np.full(len(i_dq), position)) - true.flux(*zero.T, np.array([position]))
+    mean = true.mean_flux(*i_dq.T) - true.mean_flux(*zero.T)
+    (d, q), (mean_d, mean_q) = (
+        100 * np.sqrt(np.mean((psi - of) ** 2, axis=0)) / np.abs(exact).max(axis=0) for of in (exact, mean)
+    )
+    band, wrong = 100 * np.mean(np.abs(psi - exact) < BAND * sigma), found.resistance - machine.resistance
+    return (
+        f"| {name} at {math.degrees(position):.0f}° | {d:.3f} / {q:.3f} % | {100 * wrong / machine.resistance:+.2f} % "
+        f"({wrong / found.sigma_resistance:+.1f}) | {band:.0f} % | {mean_d:.2f} / {mean_q:.2f} % |"
+    )
+
+
 def coverage(case: Case, seeds: int) -> list[str]:
     """Return rows of a table over seeds: rms error, rms of the error in standard errors, and share within 1.96."""
     rows = [measured(case, seed) for seed in range(1, seeds + 1)]
@@ -200,7 +226,13 @@ def main() -> None:
         said += [f"- {case.name}: {sentence}" for sentence in sentences]
         for sentence in sentences:
             print(f"    {sentence}", flush=True)
+    held = ["| locked rotor | error of ψ_d / ψ_q | R (z) | bands | from the mean map |", "|---|---|---|---|---|"]
+    for name, position in LOCKED.items():
+        if not options.seeds and (not options.only or any(part in f"locked {name}" for part in options.only)):
+            held.append(locked(name, position, options.seed))
+            print(held[-1], flush=True)
     if options.page:
+        write_between(options.page, "benchmarks/free_shaft.py, locked", "\n".join(held))
         text = "\n".join([*lines, "", "What was said:", "", *said])
         write_between(options.page, "benchmarks/free_shaft.py", text)
 

@@ -1,6 +1,6 @@
 """Where a result is from: what results of each origin hold, and the words for them.
 
-A result is *fitted* by one of four methods, or *imported*. Nothing else in the package compares their names: whatever
+A result is *fitted* by one of five methods, or *imported*. Nothing else in the package compares their names: whatever
 depends on one asks its :class:`Origin`.
 """
 
@@ -30,6 +30,9 @@ class Origin:
         Whether R and standard errors were estimated; else they are what a file says.
     inverter, harmonics : bool
         Whether results have the inverter's curve, and rotor-position harmonics.
+    turning : bool
+        Whether the map is the mean over rotor positions, magnet flux included; else it is the flux at one position
+        minus that at zero current, and neither torque nor voltages of the turning machine follow from it.
     slopes : bool
         Whether the standard errors hold for inductances away from zero current, too: others miss the bias there.
     diagnostics : bool
@@ -57,6 +60,7 @@ class Origin:
     fitted: bool = True
     inverter: bool = True
     harmonics: bool = False
+    turning: bool = True
     slopes: bool = False
     diagnostics: bool = True
     live: bool = True
@@ -145,6 +149,29 @@ FULL: Final = Origin(
     reference=_PAPER,
     ignores=(*_OF_PAPER, "rows_are_points"),
 )
+LOCKED: Final = Origin(
+    name="locked",
+    title="locked: rotor at rest",
+    heading="Drive with a locked rotor",
+    summary=(
+        "The rotor was locked: the flux at this one position, minus that at zero current, was fitted as penalized "
+        "splines with R and a free inverter curve to the voltage equation, integrated over windows, by linear least "
+        "squares, with correction for current noise and heteroscedasticity-consistent standard errors."
+    ),
+    turning=False,
+    windows=True,
+    limits=(
+        _LINEAR_PART,
+        "The magnets' flux and the torque are unknown: a constant flux induces no voltage in a machine at rest.",
+        "The fluxes are those of one rotor position: the mean map differs by the rotor-position harmonics.",
+        "Gain errors, and offsets of the currents and of the angle, leave no trace.",
+    ),
+    reference=_PAPER,
+    ignores=(
+        *_OF_PAPER, "rows_are_points", "maps", "harmonic_orders", "search_orders", "calibrate_angle",
+        "calibrate_currents", "inertia", "added_inertia",
+    ),
+)  # fmt: skip
 _SYMMETRIC = "At one constant speed, R is separable from the fluxes only by assuming reciprocal, symmetric maps."
 STATIC: Final = Origin(
     name="static",
@@ -178,7 +205,7 @@ IMPORTED: Final = Origin(
     no_diagnostics="The map was imported: there is no recording to compare it with.",
     pole_pairs="import the file again with --pole-pairs",
 )
-ORIGINS: Final = {origin.name: origin for origin in (PSM, JOINT, FULL, STATIC, IMPORTED)}
+ORIGINS: Final = {origin.name: origin for origin in (PSM, JOINT, FULL, LOCKED, STATIC, IMPORTED)}
 """By name, in the order in which they are shown beside one another."""
 METHODS: Final = tuple(name for name, origin in ORIGINS.items() if origin.fitted)
 """Names that a fit may be asked for."""

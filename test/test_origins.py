@@ -17,6 +17,7 @@ from drive_id.exchange.imports.source import Source
 from drive_id.files.results.folder import MARKER
 from drive_id.fitting.completion import completed
 from drive_id.fitting.fit import fit_bags
+from drive_id.fitting.simulated import simulate
 from drive_id.fitting.sources import Sources
 from drive_id.origins import METHODS, ORIGINS, origin_named
 from drive_id.reporting.page.content import Content, content_of
@@ -47,6 +48,13 @@ TABLE = {  # sections with data; figures at a glance; rows of the console's tabl
         ("in the stator frame over windows", "doi:10.1049"),
         ("by method full", "does not model", "imported"),
     ),
+    "locked": (
+        {"residuals", "currents", "inverter"},
+        {"Standard error of R", "Simulated current"},
+        {"Inverter drop", "MAD of simulated i_d / i_q", "Gaps", "Unknowns determined"},
+        ("The rotor was locked", "magnets' flux and the torque are unknown", "those of one rotor position"),
+        ("ψ_PM", "MTPA", "reciproc", "same recording by method full", "another speed", "imported"),
+    ),
     "static": (
         {"inverter"},
         {"Standard error of R"},
@@ -73,6 +81,8 @@ def results(bag, tmp_path_factory):
     currents = disc_points(rng, 100.0, 30)
     points = telemetry(LinearDrive(), currents, np.full(len(currents), 300.0), rng=rng)
     found = {name: fit_bags(Sources([bag]), None, FitSettings(method=name)) for name in ("psm", "joint", "full")}
+    held = simulate("ipm", 3.0, speed=0.0, noise=1e-3, seed=1)
+    found["locked"] = drive_id.fit(held, settings=FitSettings(method="locked"))
     found["static"] = drive_id.fit(points)
     axis = np.linspace(-90.0, 90.0, 7)
     psi_d, psi_q = LinearDrive().flux(*np.meshgrid(axis, axis, indexing="ij"), 0.0)
@@ -139,7 +149,7 @@ def test_the_table_is_that_of_all_origins(results):
 def test_only_live_methods_sum_over_samples(name):
     if ORIGINS[name].live:
         evidence = Evidence.within(FitSettings(name), 100.0)
-        assert (evidence.windows is not None) == ORIGINS[name].windows == (name == "full")
+        assert (evidence.windows is not None) == ORIGINS[name].windows == (name in ("full", "locked"))
         return
     with pytest.raises(ConfigurationError, match="not accumulated or live samples"):
         check_live(name)
@@ -163,7 +173,11 @@ def test_an_unknown_origin_is_refused(results, tmp_path):
         ("joint", {"rows_are_points": True}, "Method joint ignores rows_are_points: remove it, or use method static."),
         ("full", {"splines_d": 9}, "Method full ignores splines_d: remove it, or use method psm or joint."),
         ("static", {"splines_d": 9, "maps": "free"}, "Method static ignores maps, splines_d: remove them."),
-        ("static", {"monotone": True}, "Method static ignores monotone: remove it, or use method psm, joint or full."),
+        (
+            "static",
+            {"monotone": True},
+            "Method static ignores monotone: remove it, or use method psm, joint, full or locked.",
+        ),
     ],
 )
 def test_a_setting_without_effect_is_named_with_the_methods_that_use_it(results, method, changed, sentence):

@@ -142,10 +142,11 @@ class MachineModel:
         Raises
         ------
         ConfigurationError
-            When a value is not positive or not finite, or the temperature is out of range.
+            When a value is not positive or not finite, the temperature is out of range, or the rotor was locked.
         CoverageError
             When the map has hardly any data.
         """
+        result.check_turning()
         pairs, link = result.pole_pairs if pole_pairs is None else pole_pairs, result.u_dc if u_dc is None else u_dc
         if pairs is not None and pairs < 1:
             raise ConfigurationError(f"pole_pairs is {pairs}: give a whole number of at least 1.")

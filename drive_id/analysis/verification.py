@@ -141,7 +141,10 @@ def verify(result: Result, samples: Samples) -> Verification:
     ------
     CoverageError
         When hardly any of the recording lies within the data of the map.
+    ConfigurationError
+        When the rotor was locked for the result.
     """
+    result.check_turning()
     found, shapes = result.flux_map, CapacitiveShapes.up_to(result.i_max)
     cutter, known = WindowCutter(shapes), corrected(samples, result.calibrations)
     windows, psi, column, counts = _cells(result, Windows.joined([*cutter.cut(known), *cutter.finish()]))

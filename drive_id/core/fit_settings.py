@@ -21,7 +21,8 @@ class FitSettings(Checked):
     method: str = setting(
         "full",
         "psm: the paper's flux and resistance; joint: the paper's with the inverter; full: windows, rotor harmonics, "
-        "an inverter curve and calibration; static: operating points of slow logs in d and q",
+        "an inverter curve and calibration; locked: the same at one position of a locked rotor, relative to zero "
+        "current; static: operating points of slow logs in d and q",
         choices=METHODS,
     )
     flux_model: str = setting(

@@ -159,7 +159,7 @@ def compare(first: Result | str | Path, second: Result | str | Path) -> Comparis
     CoverageError
         When the results have no currents in common.
     ConfigurationError
-        When all flux linkages of B are zero.
+        When all flux linkages of B are zero, or the rotor was locked for one of them only.
     """
     first, second = (x if isinstance(x, Result) else Result.load(x) for x in (first, second))
     found, other = first.flux_map, second.flux_map
@@ -172,7 +172,12 @@ def compare(first: Result | str | Path, second: Result | str | Path) -> Comparis
     sigma = _joint(*(np.stack(each.sigma(*grid), axis=-1) for each in (found, other)))
     if not np.abs(psi_other[common]).max(axis=0).all():
         raise ConfigurationError("A flux linkage of the second result is zero everywhere: compare with another result.")
-    pairs = first.pole_pairs
+    if first.origin.turning != second.origin.turning:
+        raise ConfigurationError(
+            "One of the results is of a locked rotor, so its fluxes lack those of the magnets: compare it with another "
+            "one of a locked rotor."
+        )
+    pairs = first.pole_pairs if first.origin.turning else None
     torque, largest = None, math.nan
     if pairs is not None and pairs == second.pole_pairs:
         own, others = (1.5 * pairs * (x[..., 0] * grid[1] - x[..., 1] * grid[0]) for x in (psi, psi_other))

@@ -46,10 +46,12 @@ def completed(
     """
     recorded = truth.pole_pairs if truth else signals.resolver.pole_pairs if signals else None
     pole_pairs = settings.pole_pairs or recorded
-    drive = with_mechanics(with_torque(drive, excerpts, pole_pairs), excerpts, pole_pairs, settings)
+    turning = drive.origin.turning
+    if turning:
+        drive = with_mechanics(with_torque(drive, excerpts, pole_pairs), excerpts, pole_pairs, settings)
     if drive.torque is not None or (drive.mechanics is not None and drive.mechanics.gain is not None):
         drive = replace(drive, statements=tuple(said for said in drive.statements if said.code != "common_gain"))
-    nrmse = score(drive, truth) if truth else None
+    nrmse = score(drive, truth) if truth and turning else None
     referred = "temperatures" not in ORIGINS[settings.method].ignores and (
         bool(settings.temperatures) or any(part.winding_temperature is not None for part in excerpts)
     )

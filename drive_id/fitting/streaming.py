@@ -71,7 +71,7 @@ def _gathered(reading: SeveralBags, settings: FitSettings, tell: Progress) -> tu
             break
         except UnusualError:
             reading.read_whole()
-    prescan.check()
+    prescan.check(settings.method)
     if evidence is not None:
         prescan.inform(evidence)
         return evidence, spans

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from drive_id.core.result.identification import FluxMap
+from drive_id.origins import ORIGINS
 from drive_id.quantity import plain
 
 _MOST_POINTS = 2000
@@ -100,6 +101,8 @@ class LiveView:
     def flux_map(self, message: Any) -> None:
         """Take a map, an object with the fields of ``drive_id_msgs/FluxMap``: cells with data, and quantities."""
         axes = (np.asarray(message.i_d), np.asarray(message.i_q))
+        turning = message.method not in ORIGINS or ORIGINS[message.method].turning
+        milli = 1e3 if turning else math.nan  # the magnets' flux of a locked rotor is unknown
         names, shape = ("psi_d", "psi_q", "sigma_d", "sigma_q", "inside"), tuple(map(len, axes))
         found = FluxMap(*axes, *(np.asarray(getattr(message, name)).reshape(shape) for name in names))
         step = message.i_max / _CELLS
@@ -110,7 +113,7 @@ class LiveView:
             "step": step, "i_max": message.i_max,
             "cells": np.stack([k_d, k_q], axis=-1)[known],
             "sigma": 1e6 * sigma[known],
-            "psi_pm": [1e3 * float(x[0]) for x in (found.psi_dq(0.0, 0.0), found.sigma(0.0, 0.0))],
+            "psi_pm": [milli * float(x[0]) for x in (found.psi_dq(0.0, 0.0), found.sigma(0.0, 0.0))],
             "resistance": [1e3 * message.resistance, 1e3 * message.sigma_resistance],
             "drop": [message.voltage_error, message.sigma_voltage_error],
             "coverage": message.coverage, "provisional": message.provisional, "machine": message.machine,

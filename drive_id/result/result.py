@@ -83,7 +83,7 @@ class Result:
 
     @property
     def method(self) -> str:
-        """``psm``, ``joint``, ``full`` or ``static``; ``imported`` for a map of another tool."""
+        """``psm``, ``joint``, ``full``, ``locked`` or ``static``; ``imported`` for a map of another tool."""
         return self.drive.method
 
     @property
@@ -237,6 +237,14 @@ class Result:
         known = self.provenance.settings, self.excerpts, self.truth, self.evidence
         return diagnose(self.drive, *known, compared=compared)
 
+    def check_turning(self) -> None:
+        """Raise ConfigurationError for a locked rotor, of which no torque or voltage of a turning machine follows."""
+        if not self.origin.turning:
+            raise ConfigurationError(
+                "The rotor was locked, so the magnets' flux is unknown, and with it torque, voltage and the map of the "
+                "turning machine: fit a recording of the turning machine by method full."
+            )
+
     @classmethod
     def load(cls, directory: str | Path) -> Self:
         """Load a result folder; raises a ResultError when it is none, is damaged, or was written by a newer version."""
@@ -311,8 +319,9 @@ class Result:
         Raises
         ------
         ConfigurationError
-            When the pole pairs are unknown.
+            When the pole pairs are unknown, or the rotor was locked.
         """
+        self.check_turning()
         pairs = pole_pairs or self.pole_pairs
         if pairs is None:
             raise ConfigurationError(

@@ -31,6 +31,7 @@ from drive_id.core.signals.join import Piece
 from drive_id.core.signals.signal import finite_rows
 from drive_id.errors import CoverageError, DataError, StandstillError
 from drive_id.messages import Message
+from drive_id.origins import FULL, ORIGINS
 from drive_id.types import FloatArray, Samples
 
 USUAL_QUANTILE = 0.999
@@ -42,6 +43,8 @@ _FAULT_FACTOR = 10.0
 _NOISE_SHARE = 0.1  # rms step over the range of a current: a trajectory takes many samples from end to end
 _RESOLVER_TOLERANCE = 0.02  # of the ratio of angle and speed, which a poor time base may have
 _LEAST_TURN = 2 * np.pi  # rad, electrical: each position once
+_LOCKED_TURN = np.deg2rad(2.0)
+"""Electrical angle that a locked rotor may give: a 24th harmonic changes by its amplitude within it."""
 _WINDOW = 128  # advances of the rotor summed before speed and angle are compared: noise of the speed averages out
 _JUMP = 0.2  # rad between angle and speed within a sample, beyond any resolver's error
 _JUMP_FACTOR = 5.0  # by the usual one, where a slow speed signal makes it large
@@ -90,7 +93,10 @@ class Prescan:
         self._periods: tuple[float, ...] = ()
         self._excerpt = Spans(_SPAN, _SPANS)
         self._single = SingleSamples()
-        self._found: tuple[int, tuple[Message, ...]] = (-1, ())  # of so many samples
+        self._found: tuple[tuple[int, bool], tuple[Message, ...]] = (
+            (-1, True),
+            (),
+        )  # of so many samples, turning or not
 
     def copy(self) -> Prescan:
         """Return an independent copy."""
@@ -154,14 +160,18 @@ class Prescan:
         other = top_quantile(without, self.samples - self._referenced, USUAL_QUANTILE) if len(without) else 0.0
         return min(max(wanted, other), usual)
 
-    def findings(self) -> tuple[Message, ...]:
-        """Return the findings so far, most basic first, without consequences of an error."""
-        if self._found[0] != self.samples:
-            self._found = self.samples, tuple(self._judge())
+    def findings(self, method: str = FULL.name) -> tuple[Message, ...]:
+        """Return the findings so far, most basic first, without consequences of an error.
+
+        The method tells whether the rotor has to turn or to stand still.
+        """
+        turning = ORIGINS[method].turning
+        if self._found[0] != (self.samples, turning):
+            self._found = (self.samples, turning), tuple(self._judge(turning=turning))
         return self._found[1]
 
-    def check(self) -> tuple[Message, ...]:
-        """Raise the first error among the findings; return the warnings.
+    def check(self, method: str = FULL.name) -> tuple[Message, ...]:
+        """Raise the first error among the findings for a method; return the warnings.
 
         Raises
         ------
@@ -172,20 +182,20 @@ class Prescan:
         DataError
             For all other findings that are errors; ``docs/checks.md`` lists them.
         """
-        found = self.findings()
+        found = self.findings(method)
         for finding in found:
             if finding.kind == "error":
                 raise _ERRORS.get(finding.code, DataError)(finding)
         return found
 
-    def _judge(self) -> Iterator[Message]:
+    def _judge(self, *, turning: bool) -> Iterator[Message]:
         runs = sorted((run for run in self._excerpt.runs() if len(run) >= _SHORTEST_RUN), key=len, reverse=True)
         runs = sorted(runs[:_MOST_RUNS], key=lambda run: int(run.stamp[0]))
         steps: tuple[Callable[[], Iterator[Message]], ...] = (
             lambda: time_findings(self._periods),
             lambda: unit_findings(runs) if runs else iter(()),
             self._on_jumps,
-            lambda: self._on_rotation(runs),
+            lambda: self._on_rotation(runs) if turning else self._on_locked(),
             lambda: degree_findings(runs, self._usual) if runs else iter(()),
             self._on_trajectory,
             lambda: self._single.findings(self._usual),
@@ -222,7 +232,7 @@ class Prescan:
     def inform(self, evidence: Evidence) -> None:
         """Add the findings to evidence of these samples."""
         evidence.reached = self.radius
-        evidence.findings = self.findings() if self.samples else ()
+        evidence.findings = self.findings(evidence.settings.method) if self.samples else ()
 
     def _add_references(self, i_dq: FloatArray | None, new: slice) -> FloatArray | float:
         """Take the references (N, 2), A, and return which of them are known, as numbers (N,), or for all alike."""
@@ -247,9 +257,18 @@ class Prescan:
             by, at = found[found[:, 1].argmin()]
             yield Message("angle_jump", jumps=len(found), time=at, jump=by)
 
-    def _on_rotation(self, runs: Sequence[Samples]) -> Iterator[Message]:
+    @property
+    def _turned(self) -> float:
+        """Range of the angle, rad."""
         with np.errstate(invalid="ignore"):
-            turned = max(float((self._turns[:, 2] - self._turns[:, 1]).max()), 0.0)
+            return max(float((self._turns[:, 2] - self._turns[:, 1]).max()), 0.0)
+
+    def _on_locked(self) -> Iterator[Message]:
+        if self._turned > _LOCKED_TURN:
+            yield Message("not_locked", turned=self._turned)
+
+    def _on_rotation(self, runs: Sequence[Samples]) -> Iterator[Message]:
+        turned = self._turned
         if turned < _LEAST_TURN:
             yield standstill_finding(turned, float(self._products[3]))
             return

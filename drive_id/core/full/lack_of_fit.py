@@ -190,6 +190,7 @@ def missed_flux(facts: FloatArray) -> FloatArray:
     """
     enough = facts[:, 0] > _FEWEST
     count, weight, *flux, square = np.where(enough, facts.T, 1.0)
+    weight = np.maximum(weight, _TINY)  # a rotor that stands still shows none
     mean = np.stack(flux, axis=1) / weight[:, None]
     noise = np.maximum(square / count - weight / count * np.sum(mean**2, axis=1), 0.0) / 2 / weight
     side = (_CELLS, _CELLS)

@@ -18,6 +18,7 @@ from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.full.zero_crossings import between_crossings
 from drive_id.core.maps.flux_models import jacobian
+from drive_id.origins import ORIGINS
 from drive_id.types import FloatArray
 
 HIGHEST_ORDER = 48
@@ -67,6 +68,8 @@ _MISFIT_WINDOWS = 6000
 """Windows whose residuals are attributed to cells: some 100 for each cell of an axis."""
 _REFINEMENTS = 4
 """Most divisions of the cells, each to a half or a quarter: from 28 to 0.1 A at i_max = 400 A."""
+_AT_REST = ("copper_heating", "copper_recordings", "dc_link", "link_ripple", "link_sag")
+"""Effects that show while the rotor stands still."""
 _SMOOTH = 1.0
 """Penalty of fine cells at first: effects are linearized about the map, which fine cells make rough."""
 _LOCAL = 1e-3
@@ -118,7 +121,9 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     start = _aligned(solver, _first_spec(sums, settings, turn), settings, turn, noise)
     bounded = noise.at_most(solver, start)  # fast currents look like noise to their differences
     sums, solver, start = _resolved(sums, solver, start, bounded)
-    between = between_crossings(sums, solver, start, noise)
+    # without a motion of the rotor, only windows near zero current tie the map to its value there
+    turning = ORIGINS[settings.method].turning
+    between = between_crossings(sums, solver, start, noise) if turning else None
     if between and not _offset_shows(sums, start, noise, between.excess):
         sums, crossings = between.sums, between.excess
         noise = CurrentNoise.met(noise.variance, sums.kept(), noise.angle_variance)
@@ -407,7 +412,8 @@ def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
         "link_sag": not link,
         **dict.fromkeys(OF_SENSORS, settings.calibrate_currents),
     }
-    return tuple(name for name in EFFECTS if name != "remainder" and known.get(name, True))
+    names = EFFECTS if ORIGINS[settings.method].turning else _AT_REST
+    return tuple(name for name in names if name != "remainder" and known.get(name, True))
 
 
 def compensates(model: FullModel, solution: FullSolution) -> bool:

@@ -394,7 +394,7 @@ class CurrentNoise:
         steepest = (model.shapes(step) @ estimate[model.phase_columns()]).mean() / step[0]
         slopes = 1.5 * (windows.sensed[..., 3].real + windows.sensed[..., 4].imag) @ model.coarse_drop(estimate)
         through_drop = 4 / 9 * windows.period * windows.drop_scale**2 * np.maximum(steepest * slopes, 0.0)
-        return self.at_ends(model, estimate, windows) + windows.weights * self.variance * through_drop
+        return np.asarray(self.at_ends(model, estimate, windows) + windows.weights * self.variance * through_drop)
 
     @classmethod
     def met(cls, variance: float, kept: Sequence[Windows], angle_variance: float = 0.0) -> CurrentNoise:

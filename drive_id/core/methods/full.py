@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
 from drive_id.core.full.effect_report import effect_entries, misfit_warning, not_reciprocal_warning
@@ -27,6 +28,7 @@ from drive_id.core.methods.parameters import FitReport
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
 from drive_id.messages import Message
+from drive_id.origins import ORIGINS
 from drive_id.types import BoolArray, FloatArray, Samples
 
 _FINE = 72  # splines per axis of the map for simulation and queries, at least
@@ -67,9 +69,16 @@ class FullMethod:
         information = evidence.windows.finished()
         if information.windows < information.model.flux.parameters:
             raise DataError(Message("few_windows", windows=information.windows))
+        settings = evidence.settings
+        locked = _locked(evidence)
+        if locked:  # a map at one position: neither harmonics nor faults of resolver and current sensors show
+            information = information.with_orders(())
+            settings = replace(
+                settings, maps="reciprocal", search_orders=False, calibrate_angle=False, calibrate_currents=False
+            )
         fit = fit_full(
             information,
-            evidence.settings,
+            settings,
             evidence.turn,
             evidence.noise_variance,
             earlier,
@@ -78,8 +87,9 @@ class FullMethod:
         if (jump := fit.assessment.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
-        found = _calibrations(evidence, fit, grid, inside)
-        frame = TrueFrame(fit, next((c.value for c in found if c.name == "resolver_offset" and c.applied), 0.0))
+        found = _calibrations(evidence, settings, fit, grid, inside)
+        offset = next((c.value for c in found if c.name == "resolver_offset" and c.applied), 0.0)
+        frame = TrueFrame(fit, offset, relative=locked)
         psi = frame.flux(grid)
         sigma = _sigma(frame, grid, inside)
         warnings = (*_on_map(evidence, fit, psi, sigma, inside), *_on_calibration(evidence, fit, found))
@@ -136,10 +146,19 @@ class TrueFrame:
 
     fit: FullFit
     angle: float  # measured minus true electrical angle, rad
+    relative: bool = False  # whether fluxes are those minus the flux at zero current
+
+    def rows(self, i_dq: FloatArray) -> BasisRows:
+        """Return the rows of the fluxes at true currents (N, 2), A, in the measured frame."""
+        rows = self.fit.model.flux.rows(rotated(i_dq, -self.angle))
+        if not self.relative:
+            return rows
+        zero = self.fit.model.flux.rows(np.zeros_like(i_dq))
+        return BasisRows(np.append(rows.column, zero.column, axis=2), np.append(rows.value, -zero.value, axis=2))
 
     def flux(self, i_dq: FloatArray) -> FloatArray:
         """Return psi_dq (..., 2), Wb, averaged over the rotor position, at currents (..., 2), A."""
-        rows = self.fit.model.flux.rows(rotated(i_dq.reshape(-1, 2), -self.angle))
+        rows = self.rows(i_dq.reshape(-1, 2))
         return rotated(rows.dot(self.fit.solution.estimate[self.fit.model.map]), self.angle).reshape(i_dq.shape)
 
     def harmonic(self, order: int, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -153,12 +172,16 @@ class TrueFrame:
 
     def sigma(self, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the standard errors of psi_dq (N, 2), Wb: consistent with the residuals, and for white residuals."""
-        model, changes = self.fit.model, self.fit.assessment.changes[self.fit.model.map]
-        rows, consistent = model.flux.rows(rotated(i_dq, -self.angle)), np.empty((len(i_dq), 2))
+        changes = self.fit.assessment.changes[self.fit.model.map]
+        rows, consistent = self.rows(i_dq), np.empty((len(i_dq), 2))
         for start in range(0, len(i_dq), _POINTS):  # in batches: memory grows with points times time batches
             part = slice(start, start + _POINTS)
             consistent[part] = fitted_sigma(BasisRows(rows.column[part], rows.value[part]).dot(changes))
         return consistent, self.fit.white_sigma(rows)
+
+
+def _locked(evidence: Evidence) -> bool:
+    return not ORIGINS[evidence.settings.method].turning
 
 
 def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
@@ -169,8 +192,9 @@ def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
     return float(fit.solution.estimate[MAGNET]), fit.sigma(form)
 
 
-def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
-    settings = evidence.settings
+def _calibrations(
+    evidence: Evidence, settings: FitSettings, fit: FullFit, grid: FloatArray, inside: BoolArray
+) -> list[Calibration]:
     found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
     found += effect_entries(fit, several_speeds=several_speeds(fit.assessment.speeds))
     disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
@@ -191,7 +215,7 @@ def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
     """
     consistent, white = frame.sigma(grid[inside])
     ratio = np.zeros(grid.shape)
-    ratio[inside] = (consistent / white) ** 2
+    ratio[inside] = np.divide(consistent, white, out=np.ones_like(white), where=white > 0) ** 2
     local = np.stack([smoothed(ratio[..., flux], inside) for flux in range(2)], axis=-1)
     sigma = np.full(grid.shape, np.nan)
     sigma[inside] = white * np.sqrt(local[inside])
@@ -260,9 +284,13 @@ def _error_modes(
         curve += shapes @ changes[columns].mean(axis=1)
     others = np.concatenate([changes[[RESISTANCE]], curve[-1:], curve])
     errors = np.concatenate([[fit.sigma_resistance], drops[-1:], drops])
-    rows = fit.model.flux.rows(rotated(grid[inside], -frame.angle))
     return error_modes(
-        changes[fit.model.map], rows, sigma, inside, (others, errors), lambda psi: rotated(psi, frame.angle)
+        changes[fit.model.map],
+        frame.rows(grid[inside]),
+        sigma,
+        inside,
+        (others, errors),
+        lambda psi: rotated(psi, frame.angle),
     )
 
 
@@ -270,12 +298,17 @@ def _on_map(
     evidence: Evidence, fit: FullFit, psi: FloatArray, sigma: FloatArray, inside: BoolArray
 ) -> Iterator[Message]:
     """Yield warnings of the windows and of the standard errors of the flux map."""
+    locked = _locked(evidence)
+    if locked:
+        angles = np.concatenate([windows.angle[:, 0] for windows in fit.selection.search.sums.kept()])
+        yield Message("locked_rotor", angle=float(np.angle(np.mean(np.exp(1j * angles)))))
     if misfit := misfit_warning(fit):
         yield misfit
     share = SHORT_ANGLE / WINDOW_ANGLE if fit.crossings > 1 else 1.0
     # Windows that end sooner do so because the current changes fast, which tells flux and voltage errors apart, too.
     turn, duration = fit.assessment.turn, fit.assessment.duration
-    if turn < _LEAST_TURN * share * WINDOW_ANGLE and duration > _LEAST_TURN * share * LONGEST_WINDOW:
+    slow = turn < _LEAST_TURN * share * WINDOW_ANGLE and duration > _LEAST_TURN * share * LONGEST_WINDOW
+    if slow and not locked:
         yield Message("slow_rotation", turn=turn)
     grid = evidence.visits.grid()
     chosen = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
@@ -307,9 +340,10 @@ def _statements(
     evidence: Evidence, fit: FullFit, inside: BoolArray, calibrations: Sequence[Calibration]
 ) -> Iterator[Message]:
     """Yield what determined the unknowns that the data alone leave open, where data are missing, what helps most."""
-    several = several_speeds(fit.assessment.speeds)
+    locked = _locked(evidence)
+    several = not locked and several_speeds(fit.assessment.speeds)
     relative = fit.sigma_resistance / max(abs(fit.solution.resistance), np.finfo(np.float64).tiny)
-    by = ".speeds" if several else ".reciprocity" if fit.spec.reciprocal else ""
+    by = ".speeds" if several else ".reciprocity" if fit.spec.reciprocal and not locked else ""
     yield Message(f"separation{by}", share=relative)
     yield Message("linear_drop")
     yield Message("common_gain")
@@ -321,10 +355,11 @@ def _statements(
         yield Message("wide_curve", shared=fit.shared_resistance)
     yield from dict.fromkeys(c.message for c in calibrations)
     orders = ", ".join(map(str, fit.spec.orders))
-    yield Message("harmonics", orders=orders) if orders else Message("harmonics.none")
+    if not locked:
+        yield Message("harmonics", orders=orders) if orders else Message("harmonics.none")
     yield _on_region(evidence, inside)
     few = inside.mean() < _FEW_COVERED * np.pi / 4
-    yield Message("second_speed" if not several else "cover_disc" if few else "record_longer")
+    yield Message("second_speed" if not (several or locked) else "cover_disc" if few else "record_longer")
 
 
 def _large_share(fit: FullFit) -> float:

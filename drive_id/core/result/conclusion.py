@@ -21,7 +21,7 @@ from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
 from drive_id.core.validation.simulated_current import SimulatedCurrent, simulated_current
 from drive_id.errors import DataError, UnexplainedError
-from drive_id.origins import FULL
+from drive_id.origins import ORIGINS
 from drive_id.types import BoolArray, Samples
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
@@ -94,7 +94,7 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
 
 
 def _method_named(name: str) -> Method:
-    if name == FULL.name:
+    if ORIGINS[name].windows:
         from drive_id.core.methods.full import FullMethod  # noqa: PLC0415  # takes 0.1 s
 
         return FullMethod()

@@ -83,14 +83,14 @@ def diagnose(
     The latter takes longer than all else; they use the evidence of all samples (default: of the excerpts), the settings
     of the fit, and are scored against the truth.
     """
-    residual = drive_residual(drive, excerpts)
+    residual, turning = drive_residual(drive, excerpts), drive.origin.turning
     return Diagnostics(
         over_angle=over_angle(residual),
         over_time=over_time(residual),
         residual_rms=_rms(residual),
         trajectory=thinned_trajectory(excerpts, _TRAJECTORY),
         simulated=drive.simulated,
-        comparisons=_comparisons(drive, settings, excerpts, truth, evidence) if compared else (),
+        comparisons=_comparisons(drive, settings, excerpts, truth, evidence) if compared and turning else (),
     )
 
 

@@ -33,7 +33,8 @@ def headline(
     standard errors of inductances and torque need the joint errors of a fit. Without pole pairs there is no torque. The
     temperature is that to which R refers, degrees Celsius, where known.
     """
-    peak, rated = _peak_torque(drive), _peak_torque(drive, _SLOPES) if drive.origin.slopes else None
+    peak = _peak_torque(drive) if drive.origin.turning else None
+    rated = _peak_torque(drive, _SLOPES) if drive.origin.slopes else None
     found = [*_at_zero_current(drive), *(() if rated is None else rated.inductances(drive))]
     if math.isfinite(drive.resistance):
         at = "" if temperature is None else f" at {temperature:g} °C"
@@ -60,8 +61,11 @@ def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
     local = _Local.at(drive, 0.0, 0.0)
     if local is None:
         return ()
+    inductances = tuple(local.inductance(axis, name, note) for axis, name in enumerate(names[1:]))
+    if not drive.origin.turning:
+        return inductances
     psi_pm = Quantity(names[0], float(local.psi[0]), float(drive.flux_map.sigma(0.0, 0.0)[0]), "Wb", "At zero current.")
-    return (psi_pm, *(local.inductance(axis, name, note) for axis, name in enumerate(names[1:])))
+    return (psi_pm, *inductances)
 
 
 def _of_shaft(drive: IdentifiedDrive) -> tuple[Quantity, ...]:

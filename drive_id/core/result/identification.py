@@ -383,7 +383,7 @@ class Mechanics:
 class IdentifiedDrive(Parameters):
     """An identified drive: the parameters, the map and how good they are, without their origin."""
 
-    method: str  # psm, joint, full or static; imported for a map of another tool
+    method: str  # psm, joint, full, locked or static; imported for a map of another tool
     i_max: float  # radius of the current disc of the experiment, A
     flux_map: FluxMap
     report: FitReport

@@ -40,7 +40,7 @@ def gather(recordings: Sequence[Samples], settings: FitSettings, tell: Progress 
     prescan = Prescan()
     for samples in recordings:
         prescan.add(samples)
-    prescan.check()
+    prescan.check(settings.method)
     evidence = prescan.prepare(settings)
     total = sum(len(samples) for samples in recordings)
     for samples in recordings:

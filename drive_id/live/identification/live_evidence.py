@@ -73,7 +73,7 @@ class Snapshot:
         self.join.check()
         for piece in self.rest:
             self.gathered.add(piece)
-        self.gathered.prescan.check()
+        self.gathered.prescan.check(self.gathered.evidence.settings.method)
         self.gathered.prescan.inform(self.gathered.evidence)
         return concluded(self.gathered.evidence, self.validation(), earlier)
 

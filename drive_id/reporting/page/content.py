@@ -409,7 +409,9 @@ def _missing(result: Result, operation: TorqueMap | None) -> dict[str, str]:
         missing["inverter"] = result.origin.no_inverter
     elif not np.any(result.drive.inverter_voltage):
         missing["inverter"] = "The result holds no inverter drop."
-    if operation is None:
+    if not result.origin.turning:
+        missing |= dict.fromkeys(("comparison", "operation"), result.origin.limits[1])
+    elif operation is None:
         missing["operation"] = (
             f"The number of pole pairs is unknown, and without it there is no torque: {result.origin.pole_pairs}."
         )

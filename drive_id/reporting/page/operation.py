@@ -74,8 +74,8 @@ class TorqueMap:
 
 
 def torque_map(result: Result) -> TorqueMap | None:
-    """Return torque and lines of operation; None when the pole pairs are unknown."""
-    if result.pole_pairs is None:
+    """Return torque and lines of operation; None when the pole pairs are unknown, or the rotor was locked."""
+    if result.pole_pairs is None or not result.origin.turning:
         return None
     model, found = MachineModel.of(result), result.flux_map
     torque = model.torque(found.i_d[:, None], found.i_q)

@@ -1,0 +1,82 @@
+"""A locked rotor: the flux at its position minus that at zero current, and nothing that needs a turning machine."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import drive_id
+from drive_id.bench.drive import build_machine
+from drive_id.bench.machines import machine_map
+from drive_id.errors import ConfigurationError, DataError, StandstillError
+from drive_id.fitting.simulated import simulate
+
+POSITIONS = {"ipm": 0.3, "spm": 1.1, "pmsyrm": 2.0}
+LOCKED = drive_id.FitSettings(method="locked")
+
+
+def locked(machine, position, **settings):
+    settings = drive_id.SimulationSettings(start_angle=position, **settings)
+    return simulate(machine, 8.0, speed=0.0, noise=1e-3, seed=2, settings=settings)
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return {machine: locked(machine, position) for machine, position in POSITIONS.items()}
+
+
+@pytest.fixture(scope="module")
+def results(recordings):
+    return {machine: drive_id.fit(samples, settings=LOCKED) for machine, samples in recordings.items()}
+
+
+@pytest.mark.parametrize("machine", POSITIONS)
+def test_the_flux_at_the_position_of_the_rotor_is_found(results, recordings, machine):
+    result, found = results[machine], results[machine].flux_map
+    true_machine = build_machine(machine_map(machine), drive_id.SimulationSettings())
+    grid, inside = found.grid(), found.inside
+    i_dq = grid[inside & (np.hypot(*np.moveaxis(grid, -1, 0)) < 0.98 * true_machine.i_max)]
+    at, zero = (true_machine.flux(*x.T, np.full(len(x), POSITIONS[machine])) for x in (i_dq, np.zeros((1, 2))))
+    true = at - zero
+    psi, sigma = (np.stack(of(*i_dq.T), axis=-1) for of in (found.psi_dq, found.sigma))
+    nrmse = np.sqrt(np.mean((psi - true) ** 2, axis=0)) / np.abs(true).max(axis=0)
+    assert (nrmse < 3e-3).all()
+    mean = true_machine.mean_flux(*i_dq.T) - true_machine.mean_flux(0.0, 0.0)
+    assert np.sqrt(np.mean((mean - true) ** 2)) > 2 * np.sqrt(np.mean((psi - true) ** 2))  # which it is not
+    assert 0.85 < np.mean(np.abs(psi - true) < 1.96 * sigma) <= 1.0
+    assert np.abs(found.psi_dq(0.0, 0.0)).max() < 2e-4 * np.abs(true).max()
+    assert abs(result.resistance - recordings[machine].truth.resistance) < 3 * result.sigma_resistance
+    assert [said.code for said in result.warnings] == ["locked_rotor"]
+    assert np.cos(result.warnings[0].values["angle"] - POSITIONS[machine]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_what_needs_a_turning_machine_is_left_out_or_refused(results, tmp_path):
+    result = results["ipm"]
+    names = " ".join(quantity.name for quantity in result.headline)
+    assert "L_d at zero current" in names
+    assert "ψ_PM" not in names
+    assert "Torque" not in names
+    assert np.isnan(result.metrics["nrmse_d"])
+    for refused in (
+        lambda: drive_id.analyze(result),
+        lambda: drive_id.export(result, "csv", tmp_path / "map.csv"),
+        lambda: drive_id.export(result, "machine", tmp_path / "machine.npz"),
+        result.to_machine,
+    ):
+        with pytest.raises(ConfigurationError, match="The rotor was locked, so the magnets' flux is unknown"):
+            refused()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_is_compared_with_its_like_only(results):
+    turning = drive_id.fit(simulate("ipm", 2.0, noise=1e-3, seed=1))
+    with pytest.raises(ConfigurationError, match="of a locked rotor"):
+        drive_id.compare(results["ipm"], turning)
+    assert drive_id.compare(results["ipm"], results["ipm"]).torque is None
+
+
+def test_other_methods_name_it_and_it_refuses_a_turning_rotor(recordings):
+    with pytest.raises(StandstillError, match="choose method locked"):
+        drive_id.fit(recordings["ipm"])
+    with pytest.raises(DataError, match="it was not locked: choose method full"):
+        drive_id.fit(simulate("ipm", 1.0), settings=LOCKED)

@@ -66,6 +66,9 @@ def test_what_needs_a_turning_machine_is_left_out_or_refused(results, tmp_path):
         with pytest.raises(ConfigurationError, match="The rotor was locked, so the magnets' flux is unknown"):
             refused()
     assert list(tmp_path.iterdir()) == []
+    result.save(tmp_path / "result", draw=False)
+    with pytest.raises(ConfigurationError, match="is of a locked rotor, without the magnets' flux"):
+        drive_id.import_map(tmp_path / "result" / "flux_map.npz")
 
 
 def test_it_is_compared_with_its_like_only(results):

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
-from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
 from drive_id.core.full.effect_report import effect_entries, misfit_warning, not_reciprocal_warning
@@ -87,7 +86,7 @@ class FullMethod:
         if (jump := fit.assessment.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
-        found = _calibrations(evidence, settings, fit, grid, inside)
+        found = _calibrations(evidence, fit, grid, inside)
         offset = next((c.value for c in found if c.name == "resolver_offset" and c.applied), 0.0)
         frame = TrueFrame(fit, offset, relative=locked)
         psi = frame.flux(grid)
@@ -192,11 +191,12 @@ def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
     return float(fit.solution.estimate[MAGNET]), fit.sigma(form)
 
 
-def _calibrations(
-    evidence: Evidence, settings: FitSettings, fit: FullFit, grid: FloatArray, inside: BoolArray
-) -> list[Calibration]:
+def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
+    settings = evidence.settings
     found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
     found += effect_entries(fit, several_speeds=several_speeds(fit.assessment.speeds))
+    if _locked(evidence):
+        return found
     disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
     if settings.calibrate_angle:
         reached = min(evidence.i_max, evidence.reached or evidence.i_max)

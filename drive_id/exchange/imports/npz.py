@@ -13,6 +13,7 @@ from drive_id.exchange.imports.points import SCALARS, MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
 from drive_id.files.inputs.archive import DAMAGED, read_arrays
 from drive_id.files.inputs.input_file import open_input
+from drive_id.origins import ORIGINS
 from drive_id.types import FloatArray
 
 _SCALARS = {
@@ -28,6 +29,11 @@ def read_npz(source: Source) -> MapPoints:
     machine = str(values["machine"]) if "machine" in values else ""
     if "i_s_dq" in values and "psi_s_dq" in values:
         return _of_motulator(source.path, values, scalars, machine)
+    own = ORIGINS.get(str(values.get("method", "")))
+    if own and not own.turning:
+        raise ConfigurationError(
+            f"'{source.path}' is of a locked rotor, without the magnets' flux: import the map of a turning machine."
+        )
     axes = ("i_d", "i_q") if "i_d" in values else ("id", "iq")
     missing = [name for name in (*axes, "psi_d", "psi_q") if name not in values]
     if missing:

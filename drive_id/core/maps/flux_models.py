@@ -25,18 +25,10 @@ ColumnArray = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class BasisRows:
-    """Rows of B at N currents.
+    """Rows of B at N currents."""
 
-    Parameters
-    ----------
-    column : (N, 2, K) int32
-        Parameters that act on psi_d and psi_q; the values of a repeated column add up.
-    value : (N, 2, K) float
-        Values of their basis functions, Wb per unit of the parameter.
-    """
-
-    column: ColumnArray
-    value: FloatArray
+    column: ColumnArray  # (N, 2, K), parameters that act on psi_d and psi_q; the values of a repeated column add up
+    value: FloatArray  # (N, 2, K), of their basis functions, Wb per unit of the parameter
 
     def dot(self, gamma: FloatArray) -> FloatArray:
         """Return B gamma: (N, 2) for parameters (P,), (N, 2, M) for parameters (P, M)."""
@@ -90,16 +82,10 @@ def jacobian(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> FloatArra
 
 @dataclass(frozen=True)
 class TensorSpline(FluxModel):
-    """Tensor-product cubic B-splines (the paper's model); gamma_d before gamma_q, each row-major in [i_d, i_q].
+    """Tensor-product cubic B-splines (the paper's model); gamma_d before gamma_q, each row-major in [i_d, i_q]."""
 
-    Parameters
-    ----------
-    d, q : Axis
-        Range and number of functions along i_d and i_q.
-    """
-
-    d: Axis
-    q: Axis
+    d: Axis  # range and number of functions along i_d
+    q: Axis  # along i_q
 
     @property
     def parameters(self) -> int:
@@ -159,21 +145,14 @@ class Polynomial(FluxModel):
 
     Degree 1 is the linear machine with cross-coupling, ``psi = psi_m + L i``; higher degrees add saturation.
 
-    Parameters
-    ----------
-    degree : int
-        1 to 12.
-    scale : float
-        Current mapped to 1, A, which keeps the powers well conditioned.
-
     Raises
     ------
     ConfigurationError
         When the degree or the scale is out of range.
     """
 
-    degree: int
-    scale: float
+    degree: int  # 1 to 12
+    scale: float  # current mapped to 1, A, which keeps the powers well conditioned
 
     def __post_init__(self) -> None:
         if not 1 <= self.degree <= 12:

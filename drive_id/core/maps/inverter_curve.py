@@ -24,18 +24,13 @@ class TanhShape:
     The paper prints tanh of amperes, a scale of 1 A, with the opposite sign: its disturbance is added to the commanded
     voltage; our drop is subtracted from it, positive for positive current.
 
-    Parameters
-    ----------
-    current_scale : float
-        i_s, A.
-
     Raises
     ------
     ConfigurationError
         When the scale is not positive.
     """
 
-    current_scale: float = 1.0
+    current_scale: float = 1.0  # i_s, A
 
     def __post_init__(self) -> None:
         if not self.current_scale > 0:
@@ -53,14 +48,9 @@ class CapacitiveShapes:
     With x = i / scale each is x/2 for |x| < 1 and sign(x) (1 - 1/(2|x|)) beyond: the law of a dead time during which
     the current charges the capacitances of the legs. All tend to 1; a drop that is linear over the whole range counts
     as resistance.
-
-    Parameters
-    ----------
-    scales : (S,) float
-        A, increasing.
     """
 
-    scales: FloatArray
+    scales: FloatArray  # (S,), A, increasing
 
     @classmethod
     def up_to(cls, i_max: float) -> CapacitiveShapes:

@@ -217,24 +217,14 @@ def co_energy(potential: PotentialSpline, w: FloatArray, i_dq: FloatArray) -> Fl
 
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Points in units in which the largest current amplitude is 1 and so is the rms flux around its mean.
+    """Points in units in which the largest current amplitude is 1 and so is the rms flux around its mean."""
 
-    Parameters
-    ----------
-    i, psi, weights : (N, 2) float
-        Of mean 1 the weights.
-    group : (N,) int
-        Points with the same number are mirror images of each other.
-    ampere, weber : float
-        The units.
-    """
-
-    i: FloatArray
-    psi: FloatArray
-    weights: FloatArray
-    group: IntArray
-    ampere: float
-    weber: float
+    i: FloatArray  # (N, 2)
+    psi: FloatArray  # (N, 2)
+    weights: FloatArray  # (N, 2), of mean 1
+    group: IntArray  # (N,), points with the same number are mirror images of each other
+    ampere: float  # unit of the currents, A
+    weber: float  # unit of the fluxes, Wb
 
     @classmethod
     def checked(cls, i_dq: FloatArray, psi_dq: FloatArray, sigma: FloatArray | None, *, mirrored: bool) -> _Points:
@@ -283,21 +273,13 @@ class _Points:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Least squares of the points and the roughness, both quadratic in the coefficients w (P,) of the co-energy.
-
-    Parameters
-    ----------
-    rows : (2 N, P) sparse
-        Fluxes at the points, both fluxes of a point adjacent.
-    rough, beyond : (P, P) float
-        Matrices of the roughness and of the slopes beyond the points.
-    """
+    """Least squares of the points and the roughness, both quadratic in the coefficients w (P,) of the co-energy."""
 
     points: _Points
     space: GradientSpline
-    rows: sparse.csr_array
-    rough: FloatArray
-    beyond: FloatArray
+    rows: sparse.csr_array  # (2 N, P), fluxes at the points, both fluxes of a point adjacent
+    rough: FloatArray  # (P, P), matrix of the roughness
+    beyond: FloatArray  # (P, P), of the slopes beyond the points
 
     @classmethod
     def over(cls, points: _Points, reach: float, cells: int, bend: float) -> _Problem:

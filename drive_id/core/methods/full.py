@@ -67,14 +67,8 @@ class FullMethod:
         information = evidence.windows.finished()
         if information.windows < information.model.flux.parameters:
             raise DataError(Message("few_windows", windows=information.windows))
-        fit = fit_full(
-            information,
-            evidence.settings,
-            evidence.turn,
-            evidence.noise_variance,
-            earlier,
-            angle_variance=evidence.angle_variance,
-        )
+        noise, of_angle = evidence.noise_variance, evidence.angle_variance
+        fit = fit_full(information, evidence.settings, evidence.turn, noise, earlier, angle_variance=of_angle)
         if (jump := fit.assessment.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
@@ -92,7 +86,6 @@ class FullMethod:
         current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         drops, deviation = _inverter(fit, current)
         simulation = _simulation_model(evidence, frame, (current, drops.mean(axis=1)))
-        outlying = fit.assessment.outlying > _OUTLYING_BATCH and fit.assessment.outlying_share > _LEAST_OUTLYING
         unknowns = fit.solution.basis.shape[1]
         share = information.windows / (information.windows + information.outside)
         return Estimate(
@@ -117,7 +110,7 @@ class FullMethod:
                 residual_rms=fit.solution.residual_rms / evidence.sample_period,
             ),
             unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, np.finfo(np.float64).tiny))),
-            outlying_time=fit.assessment.outlying_time if outlying else None,
+            outlying_time=_outlying_time(fit),
             warnings=warnings,
             sigma_inverter_voltage=deviation,
             phase_voltages=drops if fit.spec.per_phase else None,
@@ -159,6 +152,13 @@ class TrueFrame:
             part = slice(start, start + _POINTS)
             consistent[part] = fitted_sigma(BasisRows(rows.column[part], rows.value[part]).dot(changes))
         return consistent, self.fit.white_sigma(rows)
+
+
+def _outlying_time(fit: FullFit) -> float | None:
+    """Return when samples stand out from all others, in time of data, s."""
+    judged = fit.assessment
+    stands_out = judged.outlying > _OUTLYING_BATCH and judged.outlying_share > _LEAST_OUTLYING
+    return judged.outlying_time if stands_out else None
 
 
 def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:

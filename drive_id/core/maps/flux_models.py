@@ -17,7 +17,6 @@ from drive_id.core.numerics import bspline
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray
 
 ColumnArray = NDArray[np.int32]
@@ -144,21 +143,10 @@ class Polynomial(FluxModel):
     """Polynomials of total degree ``degree`` in i_d / scale and i_q / scale, one for psi_d and one for psi_q.
 
     Degree 1 is the linear machine with cross-coupling, ``psi = psi_m + L i``; higher degrees add saturation.
-
-    Raises
-    ------
-    ConfigurationError
-        When the degree or the scale is out of range.
     """
 
     degree: int  # 1 to 12
     scale: float  # current mapped to 1, A, which keeps the powers well conditioned
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.degree <= 12:
-            raise ConfigurationError(f"A polynomial flux model of degree {self.degree}: give a degree from 1 to 12.")
-        if not self.scale > 0:
-            raise ConfigurationError(f"The polynomial's current scale is {self.scale} A: it must be positive.")
 
     @property
     def parameters(self) -> int:
@@ -183,22 +171,7 @@ class Polynomial(FluxModel):
 
 
 def as_tensor_spline(model: FluxModel, gamma: FloatArray, d: Axis, q: Axis) -> tuple[TensorSpline, FloatArray]:
-    """Return a map as tensor splines: unchanged if it is one, otherwise interpolated.
-
-    Parameters
-    ----------
-    gamma : (P,) float
-        Its parameters, Wb.
-    d, q : Axis
-        Axes for the interpolation.
-
-    Returns
-    -------
-    TensorSpline, (2 * d.count * q.count,) float
-        Model and parameters.
-    """
-    if isinstance(model, TensorSpline):
-        return model, gamma
+    """Return a map with parameters (P,), Wb, interpolated by tensor splines: their model and their parameters."""
     psi = model.rows(sites(d, q).reshape(-1, 2)).dot(gamma).reshape(d.count, q.count, 2)
     return TensorSpline(d, q), fitted(psi, d, q)
 

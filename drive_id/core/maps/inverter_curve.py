@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from drive_id.core.numerics.compiled import compiled
-from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray
 
 _FLAT = 1e-5  # steps of the current, relative to the scale of a curve, over which its mean is that in the middle
@@ -23,18 +22,9 @@ class TanhShape:
 
     The paper prints tanh of amperes, a scale of 1 A, with the opposite sign: its disturbance is added to the commanded
     voltage; our drop is subtracted from it, positive for positive current.
-
-    Raises
-    ------
-    ConfigurationError
-        When the scale is not positive.
     """
 
     current_scale: float = 1.0  # i_s, A
-
-    def __post_init__(self) -> None:
-        if not self.current_scale > 0:
-            raise ConfigurationError(f"The inverter's current scale is {self.current_scale} A: it must be positive.")
 
     def __call__(self, i_abc: FloatArray) -> FloatArray:
         """Return the drop for a voltage error of 1 V at phase currents of any shape, A."""

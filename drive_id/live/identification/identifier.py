@@ -61,7 +61,7 @@ class Reply:
     @property
     def success(self) -> bool:
         """Whether there is a result."""
-        return self.identification is not None
+        return self.code == "ok"
 
 
 Job = Callable[[Progress], Reply]

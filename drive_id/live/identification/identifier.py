@@ -122,7 +122,7 @@ class Identifier:
     def receive_scalar(self, name: str, data: bytes) -> None:
         """Take one serialized message of an optional signal, by its name in :class:`~drive_id.types.Samples`."""
         try:
-            self.live.add_scalar(name, self._scalar_streams[name].decode(data))
+            self.live.join.add_scalar(name, self._scalar_streams[name].decode(data))
         except DriveIdError as error:
             self._note(error)
 

@@ -24,32 +24,18 @@ class ModelErrors:
     """Changes due to M independent causes of error, of one standard error each, on the grid of an extrapolated map.
 
     A figure that changes by c_k with cause k has the standard error ``sqrt(sum_k c_k^2)``.
-
-    Parameters
-    ----------
-    i_d, i_q : (D,), (Q,) float
-        A.
-    psi_d, psi_q : (M, D, Q) float
-        Wb.
-    resistance : (M,) float
-        Ohm.
-    inverter_voltage : (M, C) float
-        V.
-    iron : (M,) float
-        Relative change of the iron loss.
-    joint : bool
-        Whether correlations are known. Otherwise each flux linkage has one common error over the whole map, the
-        bands hold for any correlation, and the errors of slopes are unknown.
     """
 
-    i_d: FloatArray
-    i_q: FloatArray
-    psi_d: FloatArray
-    psi_q: FloatArray
-    resistance: FloatArray
-    inverter_voltage: FloatArray
-    iron: FloatArray
+    i_d: FloatArray  # (D,), A
+    i_q: FloatArray  # (Q,), A
+    psi_d: FloatArray  # (M, D, Q), Wb
+    psi_q: FloatArray  # (M, D, Q), Wb
+    resistance: FloatArray  # (M,), ohm
+    inverter_voltage: FloatArray  # (M, C), V
+    iron: FloatArray  # (M,), relative change of the iron loss
     joint: bool
+    """Whether correlations are known. Otherwise each flux linkage has one common error over the whole map, the bands
+    hold for any correlation, and the errors of slopes are unknown."""
 
     @classmethod
     def of(cls, drive: IdentifiedDrive, longer: LongerGrid, *, warmer: float, magnet: float) -> ModelErrors | None:

@@ -31,20 +31,11 @@ class IronLoss:
 
     ``i_fe = (conductance + hysteresis / abs(omega) + coercivity / abs(e)) e``; the map's current is the stator current
     minus i_fe.
-
-    Parameters
-    ----------
-    conductance : float
-        S.
-    hysteresis : float
-        S rad/s.
-    coercivity : float
-        A.
     """
 
-    conductance: float = 0.0
-    hysteresis: float = 0.0
-    coercivity: float = 0.0
+    conductance: float = 0.0  # S
+    hysteresis: float = 0.0  # S rad/s
+    coercivity: float = 0.0  # A
 
     @classmethod
     def of(cls, result: Result) -> IronLoss:

@@ -23,20 +23,12 @@ _ANGLES_PER_PERIOD = 24  # of the highest harmonic: its peak is met to 1 %
 
 @dataclass(frozen=True, eq=False)
 class TorqueRipple:
-    """The part of the torque that varies with the rotor position; build it by :meth:`of`.
-
-    Parameters
-    ----------
-    orders : tuple of int
-        Electrical.
-    cosines, sines : tuple of Surfaces
-        Amplitudes of each order, Wb.
-    """
+    """The part of the torque that varies with the rotor position; build it by :meth:`of`."""
 
     model: MachineModel
-    orders: tuple[int, ...]
-    cosines: tuple[Surfaces, ...]
-    sines: tuple[Surfaces, ...]
+    orders: tuple[int, ...]  # electrical
+    cosines: tuple[Surfaces, ...]  # amplitudes of each order, Wb
+    sines: tuple[Surfaces, ...]  # likewise
 
     @classmethod
     def of(cls, model: MachineModel, found: FluxMap, harmonics: tuple[HarmonicMap, ...], reach: float) -> TorqueRipple:

@@ -50,15 +50,10 @@ class Surfaces:
     """Cubic splines through two functions of (i_d, i_q), linear beyond their grid.
 
     Build them by :meth:`over`, or by :meth:`around` a map.
-
-    Parameters
-    ----------
-    i_d, i_q : (D,), (Q,) float
-        A.
     """
 
-    i_d: FloatArray
-    i_q: FloatArray
+    i_d: FloatArray  # (D,), A
+    i_q: FloatArray  # (Q,), A
     d: RectBivariateSpline | Bicubic
     q: RectBivariateSpline | Bicubic
 

@@ -68,37 +68,17 @@ class Judgement:
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """A map against a recording that it was not fitted to.
+    """A map against a recording that it was not fitted to."""
 
-    Parameters
-    ----------
-    i_dq : (K, 2) float
-        Mean currents in the cells, A.
-    difference : (K, 2) float
-        Recording minus map, psi_d and psi_q, Wb.
-    sigma : (K, 2) float
-        Standard errors of the differences with those of the map, Wb.
-    windows : (K,) int
-        Ends of windows in each cell.
-    largest : float
-        Largest flux of the map, Wb.
-    coverage : float
-        Share of the map's disc that is recorded.
-    resistance, drop : (float, float)
-        Change relative to the result, with standard error.
-    torque : TorqueFit or None
-        The measured torque against that of the map; None where it was not recorded.
-    """
-
-    i_dq: FloatArray
-    difference: FloatArray
-    sigma: FloatArray
-    windows: IntArray
-    largest: float
-    coverage: float
-    resistance: tuple[float, float]
-    drop: tuple[float, float]
-    torque: TorqueFit | None
+    i_dq: FloatArray  # (K, 2), mean currents in the cells, A
+    difference: FloatArray  # (K, 2), recording minus map, psi_d and psi_q, Wb
+    sigma: FloatArray  # (K, 2), standard errors of the differences with those of the map, Wb
+    windows: IntArray  # (K,), ends of windows in each cell
+    largest: float  # largest flux of the map, Wb
+    coverage: float  # share of the map's disc that is recorded
+    resistance: tuple[float, float]  # change relative to the result, with standard error
+    drop: tuple[float, float]  # likewise
+    torque: TorqueFit | None  # the measured torque against that of the map; None where it was not recorded
 
     @property
     def in_sigma(self) -> FloatArray:

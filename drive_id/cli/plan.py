@@ -1,5 +1,6 @@
 """The command ``drive-id plan``."""
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -84,9 +85,13 @@ def plan_experiment(
     if as_json:
         console.print_json(tree)
     elif not quiet:
-        for table in tables:
-            console.show(table)
-        for sentence in sentences:
-            console.say(sentence)
-        console.warn(*warnings)
-        console.say(f"Written to {output}" if output is not None else f"\n{text.rstrip()}")
+        _tell(tables, sentences, warnings, f"Written to {output}" if output is not None else f"\n{text.rstrip()}")
+
+
+def _tell(tables: Iterable[Any], sentences: Iterable[str], warnings: Iterable[str], end: str) -> None:
+    for table in tables:
+        console.show(table)
+    for sentence in sentences:
+        console.say(sentence)
+    console.warn(*warnings)
+    console.say(end)

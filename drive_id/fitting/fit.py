@@ -94,26 +94,10 @@ def fit(
     >>> result = drive_id.fit("my_bag", method="full", signals="my_signals.yaml")  # doctest: +SKIP
     >>> psi_d, psi_q = result.flux_map.psi_dq(-100.0, 150.0)  # doctest: +SKIP
     """
-    if not isinstance(settings, FitSettings | None):
-        raise ConfigurationError(
-            f"settings is a {type(settings).__name__}: give drive_id.FitSettings(method=..., ...)."
-        )
-    single = isinstance(recordings, (str, os.PathLike, Samples, OperatingData))
-    given = [recordings] if single else _listed(recordings)
-    slow = any(isinstance(entry, OperatingData) for entry in given)
-    samples = [entry for entry in given if isinstance(entry, (Samples, OperatingData))]
-    paths = [Path(entry) for entry in given if isinstance(entry, (str, os.PathLike))]
-    if len(samples) + len(paths) < len(given) or (samples and paths):
-        raise ConfigurationError(
-            "The recordings are neither all paths nor all Samples: give one or a list of either, and read bags by "
-            "drive_id.read_bag to fit them together with samples."
-        )
+    paths, samples = _divided(recordings)
     signal_map = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
     target = None if output is None else Path(output)
-    options = {"method": method, "i_max": i_max}
-    chosen: dict[str, Any] = {name: value for name, value in options.items() if value is not None}
-    if slow and settings is None:
-        chosen.setdefault("method", STATIC.name)
+    chosen = _chosen(settings, samples, method=method, i_max=i_max)
     if samples:
         if signals or namespace or workers > 1 or skip_bad:
             raise ConfigurationError("signals, namespace, workers and skip_bad are about bags: leave them out.")
@@ -124,13 +108,36 @@ def fit(
     return fit_bags(sources, target, settings, force=force, tell=tell)
 
 
-def _listed(recordings: object) -> list[object]:
+def _divided(recordings: object) -> tuple[list[Path], list[Samples | OperatingData]]:
+    """Return the paths and the samples among what a user passes; all are of one kind."""
+    if isinstance(recordings, (str, os.PathLike, Samples, OperatingData)):
+        recordings = [recordings]
     try:
-        return list(recordings)  # type: ignore[call-overload, no-any-return]  # whatever a user passes
+        given = list(recordings)  # type: ignore[call-overload]  # whatever a user passes
     except TypeError as error:
         raise ConfigurationError(
             f"drive_id.fit cannot read recordings from a {type(recordings).__name__}: give paths or Samples."
         ) from error
+    samples = [entry for entry in given if isinstance(entry, (Samples, OperatingData))]
+    paths = [Path(entry) for entry in given if isinstance(entry, (str, os.PathLike))]
+    if len(samples) + len(paths) < len(given) or (samples and paths):
+        raise ConfigurationError(
+            "The recordings are neither all paths nor all Samples: give one or a list of either, and read bags by "
+            "drive_id.read_bag to fit them together with samples."
+        )
+    return paths, samples
+
+
+def _chosen(settings: object, samples: Sequence[Samples | OperatingData], **options: Any) -> dict[str, Any]:
+    """Return what replaces a setting: the options that are given, and method static for OperatingData alone."""
+    if not isinstance(settings, FitSettings | None):
+        raise ConfigurationError(
+            f"settings is a {type(settings).__name__}: give drive_id.FitSettings(method=..., ...)."
+        )
+    given = {name: value for name, value in options.items() if value is not None}
+    if settings is None and any(isinstance(entry, OperatingData) for entry in samples):
+        given.setdefault("method", STATIC.name)
+    return given
 
 
 def _saved(work: Callable[[], Identification], output: Path | None, *, force: bool, tell: Progress) -> Identification:

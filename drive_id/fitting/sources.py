@@ -42,30 +42,17 @@ Item = TypeVar("Item")
 class Sources:
     """What to fit from, and how to read it: one bundle from the command line and :func:`drive_id.fit` down.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Bags (folders or files) and information files of one drive.
-    signals : SignalMap, optional
-        Where the signals are in bags with other messages than ours.
-    namespace : str
-        Of the drive, when a bag holds several.
-    workers : int
-        Processes that read the sources; 1: this one.
-    skip_bad : bool
-        Leave out sources that cannot be used, with a warning for each.
-
     Raises
     ------
     ConfigurationError
         When there is no path, or no worker.
     """
 
-    paths: Sequence[Path]
-    signals: SignalMap | None = None
-    namespace: str = ""
-    workers: int = 1
-    skip_bad: bool = False
+    paths: Sequence[Path]  # bags (folders or files) and information files of one drive
+    signals: SignalMap | None = None  # where the signals are in bags with other messages than ours
+    namespace: str = ""  # of the drive, when a bag holds several
+    workers: int = 1  # processes that read the sources; 1: this one
+    skip_bad: bool = False  # leave out sources that cannot be used, with a warning for each
 
     def __post_init__(self) -> None:
         if not self.paths:

@@ -43,31 +43,15 @@ class BridgeSettings(Checked):
 
 @dataclass(frozen=True, eq=False)
 class SignalBlock:
-    """Gap-free samples of a drive, as in our messages.
+    """Gap-free samples of a drive, as in our messages."""
 
-    Parameters
-    ----------
-    stamp : int
-        Of the first sample, ns.
-    first_sample : int
-        Running count of the first sample; it jumps by the samples lost, told by the time of each gap.
-    sample_period : float
-        s.
-    currents, voltages : (N, 3) float32
-        A and V.
-    resolver : (N, 2) float32
-        Electrical angle, rad, in [-pi, pi), and electrical speed, rad/s.
-    scalars : mapping of str to (N,) float32
-        Optional signals by their names in :class:`~drive_id.types.Samples`.
-    """
-
-    stamp: int
-    first_sample: int
-    sample_period: float
-    currents: NDArray[np.float32]
-    voltages: NDArray[np.float32]
-    resolver: NDArray[np.float32]
-    scalars: Mapping[str, NDArray[np.float32]]
+    stamp: int  # of the first sample, ns
+    first_sample: int  # running count of the first sample; it jumps by the samples lost, told by the time of each gap
+    sample_period: float  # s
+    currents: NDArray[np.float32]  # (N, 3), A
+    voltages: NDArray[np.float32]  # (N, 3), V
+    resolver: NDArray[np.float32]  # (N, 2), electrical angle, rad, in [-pi, pi), and electrical speed, rad/s
+    scalars: Mapping[str, NDArray[np.float32]]  # optional signals (N,) by their names in Samples
 
     def signals(self) -> tuple[Signal, Signal, Signal]:
         """Return currents, voltages and resolver as signals."""

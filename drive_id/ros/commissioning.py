@@ -53,11 +53,6 @@ class _Outcome(Reply):
 
     commissioned: Commissioned | None = None
 
-    @property
-    def success(self) -> bool:
-        """Whether the drive is ready."""
-        return self.commissioned is not None
-
 
 class Commissioning(Node):
     """Conducts the other nodes of its namespace through a first start, in a worker thread."""

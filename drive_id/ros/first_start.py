@@ -47,27 +47,14 @@ with interior-magnet machines."""
 
 @dataclass(frozen=True)
 class Commissioned:
-    """A drive that is ready for trajectory ``free_shaft``.
-
-    Parameters
-    ----------
-    start : FirstStart
-    acceleration : float
-        Electrical, by the largest current, T_max p / J, rad/s^2.
-    amplitude : float
-        Of the swing, relative to i_max: less than wanted where the rotor is too light for its torque.
-    signals, parameters : Path
-        Signals file for its recordings, and parameters of the publisher.
-    encoder : Encoder or None
-        Parameters that were written into the drive; ``start`` is what is left since.
-    """
+    """A drive that is ready for trajectory ``free_shaft``."""
 
     start: FirstStart
-    acceleration: float
-    amplitude: float
-    signals: Path
-    parameters: Path
-    encoder: Encoder | None = None
+    acceleration: float  # electrical, by the largest current, T_max p / J, rad/s^2
+    amplitude: float  # of the swing, relative to i_max: less than wanted where the rotor is too light for its torque
+    signals: Path  # signals file for its recordings
+    parameters: Path  # of the publisher
+    encoder: Encoder | None = None  # what was written into the drive; start is what is left since
 
     def sentence(self) -> str:
         """Return the result as one sentence."""

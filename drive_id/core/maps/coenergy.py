@@ -36,15 +36,9 @@ def bent_edges(low: float, high: float, cells: int, bend: float = _BEND) -> Floa
 
 @dataclass(frozen=True, eq=False)
 class SplineBasis:
-    """B-splines on cells of any width, clamped at the ends.
+    """B-splines on cells of any width, clamped at the ends."""
 
-    Parameters
-    ----------
-    edges : (C + 1,) float
-        Edges of the cells, strictly increasing, A.
-    """
-
-    edges: FloatArray
+    edges: FloatArray  # (C + 1,), of the cells, strictly increasing, A
     degree: int
 
     @property
@@ -107,18 +101,11 @@ class GradientSpline(FluxModel):
     """Flux maps in the space of gradients of a co-energy spline.
 
     The parameters of psi_d, row-major in [i_d, i_q], come before those of psi_q.
-
-    Parameters
-    ----------
-    d, q : (C + 1,) float
-        Edges of the cells along i_d and i_q, A.
-    degree : int
-        Of the co-energy, at least 2.
     """
 
-    d: FloatArray
-    q: FloatArray
-    degree: int
+    d: FloatArray  # (C + 1,), edges of the cells along i_d, A
+    q: FloatArray  # along i_q
+    degree: int  # of the co-energy, at least 2
 
     @classmethod
     def within(cls, low: FloatArray, high: FloatArray, cells: int, degree: int) -> GradientSpline:

@@ -55,22 +55,12 @@ def continued(
 
 @dataclass(frozen=True, eq=False)
 class LongerGrid:
-    """A grid that contains that of a map and reaches farther.
+    """A grid that contains that of a map and reaches farther."""
 
-    Parameters
-    ----------
-    i_d, i_q : (D,), (Q,) float
-        Longer axes, A.
-    known : (D, Q) bool
-        Where the map has data.
-    places : (slice, slice)
-        Where its own grid lies.
-    """
-
-    i_d: FloatArray
-    i_q: FloatArray
-    known: BoolArray
-    places: tuple[slice, slice]
+    i_d: FloatArray  # (D,), A
+    i_q: FloatArray  # (Q,), A
+    known: BoolArray  # (D, Q), where the map has data
+    places: tuple[slice, slice]  # where its own grid lies
 
     @classmethod
     def around(cls, i_d: FloatArray, i_q: FloatArray, inside: BoolArray, reach: float) -> LongerGrid:

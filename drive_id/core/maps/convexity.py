@@ -27,19 +27,11 @@ class HessianForms:
     Of each cell, the Hessian in Bernstein form of degree (p, p) for a co-energy of degree p. The Hessian lies in the
     convex hull of its coefficients. It is continuous with its first derivatives for p of at least 4, so coefficients on
     an edge between two cells lie between their neighbours and are left out.
-
-    Parameters
-    ----------
-    d, q : (3, S, n) float
-        Along this axis, matrices from the n spline coefficients to S Bernstein coefficients of the spline, of its first
-        and of its second derivative.
-    half_square : (P,) float
-        Spline coefficients of ``(i_d^2 + i_q^2) / 2``, whose Hessian is the unit matrix.
     """
 
-    d: FloatArray
-    q: FloatArray
-    half_square: FloatArray
+    d: FloatArray  # (3, S, n), along i_d: n spline coefficients to S Bernstein ones, of the spline, its slope and bend
+    q: FloatArray  # likewise along i_q
+    half_square: FloatArray  # (P,), spline coefficients of (i_d^2 + i_q^2) / 2, whose Hessian is the unit matrix
 
     @classmethod
     def of(cls, potential: PotentialSpline) -> HessianForms:

@@ -26,24 +26,13 @@ class ErrorModes:
     Mode k changes all of them at once, by one standard error of an independent cause. A figure g(x) derived from them
     has the variance ``sum_k (g(x + m_k) - g(x))^2``. The squares of all modes of a value add up to the square of its
     standard error.
-
-    Parameters
-    ----------
-    psi_d, psi_q : (M, D, Q) float32
-        Wb; 0 where there are no data.
-    resistance : (M,) float
-        Ohm.
-    inverter_voltage : (M, C) float
-        V.
-    voltage_error : (M,) float
-        V.
     """
 
-    psi_d: NDArray[np.float32]
-    psi_q: NDArray[np.float32]
-    resistance: FloatArray
-    inverter_voltage: FloatArray
-    voltage_error: FloatArray
+    psi_d: NDArray[np.float32]  # (M, D, Q), Wb; 0 where there are no data
+    psi_q: NDArray[np.float32]  # likewise
+    resistance: FloatArray  # (M,), ohm
+    inverter_voltage: FloatArray  # (M, C), V
+    voltage_error: FloatArray  # (M,), V
 
     def __len__(self) -> int:
         return len(self.resistance)

@@ -17,7 +17,6 @@ from drive_id.core.numerics import bspline
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray
 
 ColumnArray = NDArray[np.int32]
@@ -25,18 +24,10 @@ ColumnArray = NDArray[np.int32]
 
 @dataclass(frozen=True, eq=False)
 class BasisRows:
-    """Rows of B at N currents.
+    """Rows of B at N currents."""
 
-    Parameters
-    ----------
-    column : (N, 2, K) int32
-        Parameters that act on psi_d and psi_q; the values of a repeated column add up.
-    value : (N, 2, K) float
-        Values of their basis functions, Wb per unit of the parameter.
-    """
-
-    column: ColumnArray
-    value: FloatArray
+    column: ColumnArray  # (N, 2, K), parameters that act on psi_d and psi_q; the values of a repeated column add up
+    value: FloatArray  # (N, 2, K), of their basis functions, Wb per unit of the parameter
 
     def dot(self, gamma: FloatArray) -> FloatArray:
         """Return B gamma: (N, 2) for parameters (P,), (N, 2, M) for parameters (P, M)."""
@@ -90,16 +81,10 @@ def jacobian(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> FloatArra
 
 @dataclass(frozen=True)
 class TensorSpline(FluxModel):
-    """Tensor-product cubic B-splines (the paper's model); gamma_d before gamma_q, each row-major in [i_d, i_q].
+    """Tensor-product cubic B-splines (the paper's model); gamma_d before gamma_q, each row-major in [i_d, i_q]."""
 
-    Parameters
-    ----------
-    d, q : Axis
-        Range and number of functions along i_d and i_q.
-    """
-
-    d: Axis
-    q: Axis
+    d: Axis  # range and number of functions along i_d
+    q: Axis  # along i_q
 
     @property
     def parameters(self) -> int:
@@ -158,28 +143,10 @@ class Polynomial(FluxModel):
     """Polynomials of total degree ``degree`` in i_d / scale and i_q / scale, one for psi_d and one for psi_q.
 
     Degree 1 is the linear machine with cross-coupling, ``psi = psi_m + L i``; higher degrees add saturation.
-
-    Parameters
-    ----------
-    degree : int
-        1 to 12.
-    scale : float
-        Current mapped to 1, A, which keeps the powers well conditioned.
-
-    Raises
-    ------
-    ConfigurationError
-        When the degree or the scale is out of range.
     """
 
-    degree: int
-    scale: float
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.degree <= 12:
-            raise ConfigurationError(f"A polynomial flux model of degree {self.degree}: give a degree from 1 to 12.")
-        if not self.scale > 0:
-            raise ConfigurationError(f"The polynomial's current scale is {self.scale} A: it must be positive.")
+    degree: int  # 1 to 12
+    scale: float  # current mapped to 1, A, which keeps the powers well conditioned
 
     @property
     def parameters(self) -> int:
@@ -204,22 +171,7 @@ class Polynomial(FluxModel):
 
 
 def as_tensor_spline(model: FluxModel, gamma: FloatArray, d: Axis, q: Axis) -> tuple[TensorSpline, FloatArray]:
-    """Return a map as tensor splines: unchanged if it is one, otherwise interpolated.
-
-    Parameters
-    ----------
-    gamma : (P,) float
-        Its parameters, Wb.
-    d, q : Axis
-        Axes for the interpolation.
-
-    Returns
-    -------
-    TensorSpline, (2 * d.count * q.count,) float
-        Model and parameters.
-    """
-    if isinstance(model, TensorSpline):
-        return model, gamma
+    """Return a map with parameters (P,), Wb, interpolated by tensor splines: their model and their parameters."""
     psi = model.rows(sites(d, q).reshape(-1, 2)).dot(gamma).reshape(d.count, q.count, 2)
     return TensorSpline(d, q), fitted(psi, d, q)
 

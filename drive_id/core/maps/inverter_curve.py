@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from drive_id.core.numerics.compiled import compiled
-from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray
 
 _FLAT = 1e-5  # steps of the current, relative to the scale of a curve, over which its mean is that in the middle
@@ -23,23 +22,9 @@ class TanhShape:
 
     The paper prints tanh of amperes, a scale of 1 A, with the opposite sign: its disturbance is added to the commanded
     voltage; our drop is subtracted from it, positive for positive current.
-
-    Parameters
-    ----------
-    current_scale : float
-        i_s, A.
-
-    Raises
-    ------
-    ConfigurationError
-        When the scale is not positive.
     """
 
-    current_scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not self.current_scale > 0:
-            raise ConfigurationError(f"The inverter's current scale is {self.current_scale} A: it must be positive.")
+    current_scale: float = 1.0  # i_s, A
 
     def __call__(self, i_abc: FloatArray) -> FloatArray:
         """Return the drop for a voltage error of 1 V at phase currents of any shape, A."""
@@ -53,14 +38,9 @@ class CapacitiveShapes:
     With x = i / scale each is x/2 for |x| < 1 and sign(x) (1 - 1/(2|x|)) beyond: the law of a dead time during which
     the current charges the capacitances of the legs. All tend to 1; a drop that is linear over the whole range counts
     as resistance.
-
-    Parameters
-    ----------
-    scales : (S,) float
-        A, increasing.
     """
 
-    scales: FloatArray
+    scales: FloatArray  # (S,), A, increasing
 
     @classmethod
     def up_to(cls, i_max: float) -> CapacitiveShapes:

@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from drive_id.core.maps.coenergy import GradientSpline, PotentialSpline, bent_edges
+from drive_id.core.maps.coenergy import GradientSpline, bent_edges
 from drive_id.core.maps.convexity import HessianForms, barrier_minimum
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.core.maps.support import Support
@@ -50,22 +50,13 @@ _SEED = 20  # any: equal points give equal maps
 
 @dataclass(frozen=True)
 class Convexity:
-    """What convexity cost: how far the data were from a monotone map.
-
-    Parameters
-    ----------
-    active : bool
-        Whether the constraints changed the map. False: the smooth map without them is convex with the same margin.
-    least_inductance : float
-        No eigenvalue of the incremental inductance matrix is smaller anywhere in the rectangle, H (a proven bound).
-    residual_rms, free_residual_rms : float
-        Rms distance of the points from the map, and from the map without the constraints, Wb.
-    """
+    """What convexity cost: how far the data were from a monotone map."""
 
     active: bool
-    least_inductance: float
-    residual_rms: float
-    free_residual_rms: float
+    """The constraints changed the map; otherwise the smooth map is convex with the same margin without them."""
+    least_inductance: float  # no eigenvalue of the inductance matrix is smaller in the rectangle, H (a proven bound)
+    residual_rms: float  # rms distance of the points from the map, Wb
+    free_residual_rms: float  # the same from the map without the constraints, Wb
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,23 +64,12 @@ class MonotoneMap:
     """A reciprocal and monotone flux map, smooth on a rectangle that exceeds the data.
 
     The inductances are continuous with their first derivatives. For currents beyond the rectangle, see :meth:`psi`.
-
-    Parameters
-    ----------
-    space : GradientSpline
-        Its edges are those of the rectangle.
-    w : (P,) float
-        Coefficients of the co-energy in ``space.potential``, J.
-    support : Support
-        Where the points are.
-    smoothness : float
-        Weight of the roughness, chosen by cross-validation unless given.
     """
 
-    space: GradientSpline
-    w: FloatArray
-    support: Support
-    smoothness: float
+    space: GradientSpline  # its edges are those of the rectangle
+    w: FloatArray  # (P,), coefficients of the co-energy in space.potential, J
+    support: Support  # where the points are
+    smoothness: float  # weight of the roughness, chosen by cross-validation unless given
     convexity: Convexity
 
     @property
@@ -122,12 +102,6 @@ class MonotoneMap:
         """
         flat = np.asarray(i_dq, np.float64).reshape(-1, 2)
         return jacobian(self.space, self.gamma, flat).reshape(*np.shape(i_dq), 2)
-
-    def co_energy(self, i_dq: FloatArray) -> FloatArray:
-        """Return the co-energy (...), J, at currents (..., 2), A, 0 at zero current; three phases have 3/2 of it."""
-        flat = np.asarray(i_dq, np.float64).reshape(-1, 2)
-        values = co_energy(self.space.potential, self.w, np.vstack([flat, np.zeros((1, 2))]))
-        return np.asarray((values[:-1] - values[-1]).reshape(np.shape(i_dq)[:-1]))
 
     def inside(self, i_dq: FloatArray) -> BoolArray:
         """Tell (...) which currents (..., 2), A, have data around them; elsewhere the map is a continuation."""
@@ -206,35 +180,16 @@ def fit_monotone(
     return MonotoneMap(space, weber * ampere * w, support, weight, convexity)
 
 
-def co_energy(potential: PotentialSpline, w: FloatArray, i_dq: FloatArray) -> FloatArray:
-    """Return the spline with coefficients w (P,) at currents (N, 2)."""
-    (first_d, along_d), (first_q, along_q) = potential.d.values(i_dq[:, 0]), potential.q.values(i_dq[:, 1])
-    steps = np.arange(along_d.shape[1])
-    net = w.reshape(potential.d.count, potential.q.count)
-    met = net[(first_d[:, None] + steps)[:, :, None], (first_q[:, None] + steps)[:, None, :]]
-    return np.asarray(np.einsum("nij,ni,nj->n", met, along_d, along_q))
-
-
 @dataclass(frozen=True, eq=False)
 class _Points:
-    """Points in units in which the largest current amplitude is 1 and so is the rms flux around its mean.
+    """Points in units in which the largest current amplitude is 1 and so is the rms flux around its mean."""
 
-    Parameters
-    ----------
-    i, psi, weights : (N, 2) float
-        Of mean 1 the weights.
-    group : (N,) int
-        Points with the same number are mirror images of each other.
-    ampere, weber : float
-        The units.
-    """
-
-    i: FloatArray
-    psi: FloatArray
-    weights: FloatArray
-    group: IntArray
-    ampere: float
-    weber: float
+    i: FloatArray  # (N, 2)
+    psi: FloatArray  # (N, 2)
+    weights: FloatArray  # (N, 2), of mean 1
+    group: IntArray  # (N,), points with the same number are mirror images of each other
+    ampere: float  # unit of the currents, A
+    weber: float  # unit of the fluxes, Wb
 
     @classmethod
     def checked(cls, i_dq: FloatArray, psi_dq: FloatArray, sigma: FloatArray | None, *, mirrored: bool) -> _Points:
@@ -283,21 +238,13 @@ class _Points:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Least squares of the points and the roughness, both quadratic in the coefficients w (P,) of the co-energy.
-
-    Parameters
-    ----------
-    rows : (2 N, P) sparse
-        Fluxes at the points, both fluxes of a point adjacent.
-    rough, beyond : (P, P) float
-        Matrices of the roughness and of the slopes beyond the points.
-    """
+    """Least squares of the points and the roughness, both quadratic in the coefficients w (P,) of the co-energy."""
 
     points: _Points
     space: GradientSpline
-    rows: sparse.csr_array
-    rough: FloatArray
-    beyond: FloatArray
+    rows: sparse.csr_array  # (2 N, P), fluxes at the points, both fluxes of a point adjacent
+    rough: FloatArray  # (P, P), matrix of the roughness
+    beyond: FloatArray  # (P, P), of the slopes beyond the points
 
     @classmethod
     def over(cls, points: _Points, reach: float, cells: int, bend: float) -> _Problem:

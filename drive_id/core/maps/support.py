@@ -18,15 +18,9 @@ _ROUNDING = 1e-9  # of currents, relative to the largest
 
 @dataclass(frozen=True, eq=False)
 class Support:
-    """The convex hull of points, without large holes.
+    """The convex hull of points, without large holes."""
 
-    Parameters
-    ----------
-    points : (N, 2) float
-        Distinct, not all on one line, A.
-    """
-
-    points: FloatArray
+    points: FloatArray  # (N, 2), distinct, not all on one line, A
 
     @classmethod
     def of(cls, points: FloatArray) -> Support:

@@ -75,14 +75,8 @@ class FullMethod:
             settings = replace(
                 settings, maps="reciprocal", search_orders=False, calibrate_angle=False, calibrate_currents=False
             )
-        fit = fit_full(
-            information,
-            settings,
-            evidence.turn,
-            evidence.noise_variance,
-            earlier,
-            angle_variance=evidence.angle_variance,
-        )
+        noise, of_angle = evidence.noise_variance, evidence.angle_variance
+        fit = fit_full(information, settings, evidence.turn, noise, earlier, angle_variance=of_angle)
         if (jump := fit.assessment.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
@@ -101,7 +95,6 @@ class FullMethod:
         current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         drops, deviation = _inverter(fit, current)
         simulation = _simulation_model(evidence, frame, (current, drops.mean(axis=1)))
-        outlying = fit.assessment.outlying > _OUTLYING_BATCH and fit.assessment.outlying_share > _LEAST_OUTLYING
         unknowns = fit.solution.basis.shape[1]
         share = information.windows / (information.windows + information.outside)
         return Estimate(
@@ -126,7 +119,7 @@ class FullMethod:
                 residual_rms=fit.solution.residual_rms / evidence.sample_period,
             ),
             unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, np.finfo(np.float64).tiny))),
-            outlying_time=fit.assessment.outlying_time if outlying else None,
+            outlying_time=_outlying_time(fit),
             warnings=warnings,
             sigma_inverter_voltage=deviation,
             phase_voltages=drops if fit.spec.per_phase else None,
@@ -181,6 +174,13 @@ class TrueFrame:
 
 def _locked(evidence: Evidence) -> bool:
     return not ORIGINS[evidence.settings.method].turning
+
+
+def _outlying_time(fit: FullFit) -> float | None:
+    """Return when samples stand out from all others, in time of data, s."""
+    judged = fit.assessment
+    stands_out = judged.outlying > _OUTLYING_BATCH and judged.outlying_share > _LEAST_OUTLYING
+    return judged.outlying_time if stands_out else None
 
 
 def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:

@@ -38,51 +38,27 @@ class FitReport:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Parameters:
-    """Estimated parameters of a drive, but for the map on a grid.
+    """Estimated parameters of a drive, but for the map on a grid."""
 
-    Parameters
-    ----------
-    resistance, sigma_resistance : float
-        The paper's R, which includes the linear part of the inverter's drop, and its standard error, ohm; sigma is
-        infinite when it cannot be estimated.
-    voltage_error, sigma_voltage_error : float
-        u_e in the drop convention (positive for a physical inverter) and its standard error, V; 0 without a model of
-        the inverter.
-    inverter_current, inverter_voltage : (C,) float
-        The drop of one phase, V, over its current, A.
-    model : FluxModel or None
-        With ``gamma``, the flux map as the function that was fitted; None when the result was read from files.
-    gamma : (P,) float or None
-        Coefficients, Wb.
-    sigma_inverter_voltage : (C,) float or None
-        Standard error of ``inverter_voltage``, V, where it was estimated for each current.
-    phase_voltages : (C, 3) float or None
-        The drop of each phase, V, when each has a curve of its own.
-    calibrations : tuple of Calibration
-        Sensor faults and effects of the drive.
-    magnet_coefficient : (float, float) or None
-        Change of the magnet's flux per kelvin and its standard error, Wb/K, when temperatures were given and differ.
-    statements : tuple of Message
-        What fixed the unknowns that the data alone leave open, where data are missing, and what would help most.
-    error_modes : ErrorModes or None
-        Joint errors of fluxes, resistance and inverter curve; None in results without standard errors, or of versions
-        that did not keep them.
-    """
-
-    resistance: float
-    sigma_resistance: float
-    voltage_error: float
-    sigma_voltage_error: float
-    inverter_current: FloatArray
-    inverter_voltage: FloatArray
+    resistance: float  # the paper's R, which includes the linear part of the inverter's drop, ohm
+    sigma_resistance: float  # its standard error, ohm; infinite when it cannot be estimated
+    voltage_error: float  # u_e as a drop (positive for a physical inverter), V; 0 without a model of the inverter
+    sigma_voltage_error: float  # its standard error, V
+    inverter_current: FloatArray  # (C,), A
+    inverter_voltage: FloatArray  # (C,), drop of one phase at these currents, V
     model: FluxModel | None = None
-    gamma: FloatArray | None = None
-    sigma_inverter_voltage: FloatArray | None = None
-    phase_voltages: FloatArray | None = None
-    calibrations: tuple[Calibration, ...] = ()
+    """With gamma, the flux map as the function that was fitted; None when read from files."""
+    gamma: FloatArray | None = None  # (P,), coefficients, Wb
+    sigma_inverter_voltage: FloatArray | None = None  # (C,), V, where it was estimated for each current
+    phase_voltages: FloatArray | None = None  # (C, 3), drop of each phase, V, when each has a curve of its own
+    calibrations: tuple[Calibration, ...] = ()  # sensor faults and effects of the drive
     magnet_coefficient: tuple[float, float] | None = None
+    """Change of the magnet's flux per kelvin and its standard error, Wb/K, when temperatures were given and differ."""
     statements: tuple[Message, ...] = ()
+    """What fixed the unknowns that the data alone leave open, where data are missing, and what would help most."""
     error_modes: ErrorModes | None = None
+    """Joint errors of fluxes, resistance and inverter curve; None in results without standard errors, or of versions
+    that did not keep them."""
 
     def corrected(self, pieces: Sequence[Samples]) -> Sequence[Samples]:
         """Return recordings without the sensor faults that are applied; the same ones if none was looked for."""

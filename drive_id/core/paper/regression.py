@@ -24,35 +24,29 @@ CHUNK = 8192
 """Samples processed at a time, which bounds the memory for recordings of any length."""
 
 _BLOCK_MEMORY = 2e8  # bytes, of all blocks
+_MOST_BLOCKS = 128
+_FIRST_DURATION = 0.1  # of a block, s
 
 
 class RegressionSums:
     """Z'Z per block of time, in memory that does not grow with the recording.
 
-    Parameters
-    ----------
-    block_duration : float
-        Initial duration of a block, s; doubled by merging neighbours when there are more than ``max_blocks``.
-    max_blocks : int, optional
-        Even, at least 4. Default: 128, or fewer where the model is large.
+    The duration of a block, s, is doubled by merging neighbours when there are more than ``max_blocks``: 128, or fewer
+    where the model is large.
 
-    Notes
-    -----
     Samples may arrive in portions of any size. A row needs two consecutive samples: a portion that continues another
     one begins with its last sample.
     """
 
-    def __init__(
-        self, model: FluxModel, shape: TanhShape, block_duration: float = 0.1, max_blocks: int | None = None
-    ) -> None:
+    def __init__(self, model: FluxModel, shape: TanhShape) -> None:
         self.model = model
         self.shape = shape
-        self.block_duration = block_duration
+        self.block_duration = _FIRST_DURATION
         self.rows = 0
         self.outside = 0
         self._size = FLUX + model.parameters
         affordable = int(_BLOCK_MEMORY / (8 * self._size**2)) // 2 * 2
-        self.max_blocks = max_blocks or min(max(affordable, 8), 128)
+        self.max_blocks = min(max(affordable, 8), _MOST_BLOCKS)
         self._blocks: list[FloatArray] = []
         self._starts: list[int] = []  # first block of each merged recording
         self._filled = np.inf  # time in the last block, s; infinite before a new recording

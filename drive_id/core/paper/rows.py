@@ -18,33 +18,15 @@ RESISTANCE, VOLTAGE_ERROR, VOLTAGE, FLUX = 0, 1, 2, 3
 
 @dataclass(frozen=True, eq=False)
 class SampleIntegrals:
-    """Terms of ``eq:single_row`` for M pairs of consecutive samples.
+    """Terms of ``eq:single_row`` for M pairs of consecutive samples."""
 
-    Parameters
-    ----------
-    v : (M, 2) float
-        Integral of the commanded voltage, Vs.
-    q1 : (M, 2) float
-        Integral of the current, As.
-    q4 : (M, 2) float
-        Integral of the inverter's shape as a drop (the paper's with opposite sign), s.
-    half_turn : (M,) float
-        omega T / 2, rad.
-    rows : BasisRows
-        B at the M + 1 samples: Q_2 is ``half_turn J (B^{k+1} + B^k)``, Q_3 is ``B^{k+1} - B^k``.
-    inside : (M,) bool
-        Both samples lie where the flux model is defined.
-    valid : (M,) bool
-        The same, and neither is left out.
-    """
-
-    v: FloatArray
-    q1: FloatArray
-    q4: FloatArray
-    half_turn: FloatArray
-    rows: BasisRows
-    inside: BoolArray
-    valid: BoolArray
+    v: FloatArray  # (M, 2), of the commanded voltage, Vs
+    q1: FloatArray  # (M, 2), of the current, As
+    q4: FloatArray  # (M, 2), of the inverter's shape as a drop (the paper's with opposite sign), s
+    half_turn: FloatArray  # (M,), omega T / 2, rad
+    rows: BasisRows  # B at the M + 1 samples: Q_2 is half_turn J (B^{k+1} + B^k), Q_3 is B^{k+1} - B^k
+    inside: BoolArray  # (M,), both samples lie where the flux model is defined
+    valid: BoolArray  # (M,), the same, and neither is left out
 
 
 def sample_integrals(

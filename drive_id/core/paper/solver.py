@@ -18,36 +18,17 @@ _LEVERAGE_FLOOR = 1e-3  # keeps a block finite that alone determines an unknown
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Least-squares estimate.
+    """Least-squares estimate."""
 
-    Parameters
-    ----------
-    resistance : float
-        R, ohm.
-    voltage_error : float
-        u_e in the drop convention, V; 0 for a method without it.
-    gamma : (P,) float
-        Flux parameters, Wb; 0 for functions without data.
-    rank : int
-        Number of unknowns that the data determine.
-    condition : float
-        Of the column-scaled rows, within the rank.
-    residual_rms : float
-        Of the rows, Vs.
-    columns : (C,) int
-        Columns of Z that are unknowns.
-    factor : (C, rank) float
-        W with W'NW = 1 on the determined part of the normal matrix N: WW' is its pseudo-inverse.
-    """
-
-    resistance: float
-    voltage_error: float
-    gamma: FloatArray
-    rank: int
-    condition: float
-    residual_rms: float
-    columns: IntArray
+    resistance: float  # R, ohm
+    voltage_error: float  # u_e in the drop convention, V; 0 for a method without it
+    gamma: FloatArray  # (P,), flux parameters, Wb; 0 for functions without data
+    rank: int  # number of unknowns that the data determine
+    condition: float  # of the column-scaled rows, within the rank
+    residual_rms: float  # of the rows, Vs
+    columns: IntArray  # (C,), of Z that are unknowns
     factor: FloatArray
+    """(C, rank), W with W'NW = 1 on the determined part of the normal matrix N: WW' is its pseudo-inverse."""
 
 
 @one_blas_thread()
@@ -103,18 +84,11 @@ class Jackknife:
     """Changes of the estimate when each block of time is left out (delete-a-block jackknife).
 
     The variance of a linear function of the unknowns is the sum of its squared changes, see :func:`sigma`.
-
-    Parameters
-    ----------
-    resistance, voltage_error : (B,) float
-        Ohm and V.
-    gamma : (B, P) float
-        Wb.
     """
 
-    resistance: FloatArray
-    voltage_error: FloatArray
-    gamma: FloatArray
+    resistance: FloatArray  # (B,), ohm
+    voltage_error: FloatArray  # (B,), V
+    gamma: FloatArray  # (B, P), Wb
 
     @property
     def known(self) -> bool:

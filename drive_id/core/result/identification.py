@@ -230,21 +230,13 @@ def _place(axis: FloatArray, x: FloatArray) -> tuple[IntArray, FloatArray]:
 
 @dataclass(frozen=True, eq=False)
 class HarmonicMap:
-    """Amplitudes of one rotor-position harmonic, ``cos(h theta)`` and ``sin(h theta)``, on the flux map's grid.
+    """Amplitudes of one rotor-position harmonic, ``cos(h theta)`` and ``sin(h theta)``, on the flux map's grid."""
 
-    Parameters
-    ----------
-    order : int
-        h, electrical.
-    psi_d_cos, psi_d_sin, psi_q_cos, psi_q_sin : (D, Q) float
-        Wb.
-    """
-
-    order: int
-    psi_d_cos: FloatArray
-    psi_d_sin: FloatArray
-    psi_q_cos: FloatArray
-    psi_q_sin: FloatArray
+    order: int  # h, electrical
+    psi_d_cos: FloatArray  # (D, Q), Wb
+    psi_d_sin: FloatArray  # (D, Q), Wb
+    psi_q_cos: FloatArray  # (D, Q), Wb
+    psi_q_sin: FloatArray  # (D, Q), Wb
 
 
 @dataclass(frozen=True)
@@ -252,38 +244,23 @@ class LinearMachine:
     """The machine at zero current: ``psi_d = psi_pm + l_d i_d``, ``psi_q = l_q i_q``; method ``static``.
 
     Standard errors are infinite for what the points leave open.
-
-    Parameters
-    ----------
-    psi_pm, sigma_psi_pm : float
-        Flux linkage of the magnets, Wb.
-    l_d, sigma_l_d, l_q, sigma_l_q : float
-        Inductances, H.
     """
 
-    psi_pm: float
-    sigma_psi_pm: float
-    l_d: float
-    sigma_l_d: float
-    l_q: float
-    sigma_l_q: float
+    psi_pm: float  # flux linkage of the magnets, Wb
+    sigma_psi_pm: float  # its standard error, Wb
+    l_d: float  # inductance, H
+    sigma_l_d: float  # its standard error, H
+    l_q: float  # inductance, H
+    sigma_l_q: float  # its standard error, H
 
 
 @dataclass(frozen=True)
 class Cogging:
-    """One harmonic of the cogging torque.
+    """One harmonic of the cogging torque."""
 
-    Parameters
-    ----------
-    order : int
-        Electrical.
-    amplitude, sigma : float
-        And its standard error, Nm.
-    """
-
-    order: int
-    amplitude: float
-    sigma: float
+    order: int  # electrical
+    amplitude: float  # Nm
+    sigma: float  # its standard error, Nm
 
 
 @dataclass(frozen=True)

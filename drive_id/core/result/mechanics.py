@@ -136,21 +136,9 @@ def _fitted(
     if len(data) < _BELLS * _FEWEST:
         return None
     two_discs = len(set(discs)) > 1
-    known = inertia is not None or two_discs
     whole = _with_known(data.shape[1], inertia)
     data = data @ whole
-    base = [_INERTIA, *([_DISC] if two_discs and inertia is None else []), *_of_speeds(data[:, _VISCOUS])]
-    if _VISCOUS in base and np.std(data[:, _IRON]) > _LEAST_VARIATION * np.std(data[:, _VISCOUS]):
-        base.append(_IRON)
-    if data[:, _SLOW].any():
-        base.append(_SLOW)
-    turned = max((float(np.ptp(np.unwrap(piece.angle))) for piece in pieces), default=0.0)
-    looked = [
-        column
-        for column in range(_HARMONICS, data.shape[1], _PER_ORDER)
-        if turned > _LEAST_TURN and np.sqrt(np.mean(data[:, column : column + 2] ** 2)) > _LEAST_WAVE
-    ]
-    columns = [*base, *(column + part for column in looked for part in range(_PER_ORDER))]
+    columns, looked = _told_columns(data, pieces, disc=two_discs and inertia is None)
     if modes is not None:
         of_map = np.sum([motion.products(modes, flux_map, pole_pairs, whole[:, columns]) for motion in motions], axis=0)
     else:
@@ -164,11 +152,12 @@ def _fitted(
     coefficient, sigma = solution.estimate(_INERTIA)
     if explained < (_EXPLAINED if orders else _HELD) or coefficient < _TOLD * sigma:
         return None
-    found = _Found(solution)
-    gain = found.gain(_INERTIA if inertia is not None else _DISC) if known else None
+    gain = None
+    if inertia is not None or two_discs:
+        gain = _gain(solution, _INERTIA if inertia is not None else _DISC)
     by = 1.0 if gain is None else gain[0]
-    own, sigma_own = (inertia, 0.0) if inertia is not None else found.inertia(by, known=known)
-    friction, viscous, load = (found.term(column, by) for column in (_FRICTION, _VISCOUS, _LOAD))
+    own, sigma_own = (inertia, 0.0) if inertia is not None else _inertia(solution, by, known=two_discs)
+    friction, viscous, load = (_term(solution, column, by) for column in (_FRICTION, _VISCOUS, _LOAD))
     return Mechanics(
         inertia=own,
         sigma_inertia=sigma_own,
@@ -191,37 +180,48 @@ def _fitted(
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Found:
-    """The solution."""
+def _told_columns(data: FloatArray, pieces: Sequence[Samples], *, disc: bool) -> tuple[list[int], list[int]]:
+    """Return the columns that the motion tells from each other, and of them the first one of each order of cogging."""
+    base = [_INERTIA, *([_DISC] if disc else []), *_of_speeds(data[:, _VISCOUS])]
+    if _VISCOUS in base and np.std(data[:, _IRON]) > _LEAST_VARIATION * np.std(data[:, _VISCOUS]):
+        base.append(_IRON)
+    if data[:, _SLOW].any():
+        base.append(_SLOW)
+    turned = max((float(np.ptp(np.unwrap(piece.angle))) for piece in pieces), default=0.0)
+    looked = [
+        column
+        for column in range(_HARMONICS, data.shape[1], _PER_ORDER)
+        if turned > _LEAST_TURN and np.sqrt(np.mean(data[:, column : column + 2] ** 2)) > _LEAST_WAVE
+    ]
+    return [*base, *(column + part for column in looked for part in range(_PER_ORDER))], looked
 
-    solution: BlockRegression
 
-    def gain(self, column: int) -> tuple[float, float]:
-        """Return the common gain, whose inverse is the coefficient of a known inertia, and its standard error."""
-        inverse, sigma = self.solution.estimate(column)
-        return 1 / inverse, sigma / inverse**2
+def _gain(solution: BlockRegression, column: int) -> tuple[float, float]:
+    """Return the common gain, whose inverse is the coefficient of a known inertia, and its standard error."""
+    inverse, sigma = solution.estimate(column)
+    return 1 / inverse, sigma / inverse**2
 
-    def inertia(self, by: float, *, known: bool) -> tuple[float, float]:
-        """Return the inertia without discs and its standard error; ``known``: by two of them."""
-        value, sigma = self.solution.estimate(_INERTIA)
-        if not known:
-            return value, sigma
-        at = [self.solution.columns.index(column) for column in (_INERTIA, _DISC)]  # J = g (J / g), g = 1 / coefficient
-        slope = np.array([by, -(by**2) * value])
-        variance = float(slope @ self.solution.covariance[np.ix_(at, at)] @ slope)
-        return by * value, math.sqrt(variance)
 
-    def term(self, column: int, by: float) -> tuple[float | None, float | None]:
-        """Return a term and its standard error, None if the motion does not tell it.
+def _inertia(solution: BlockRegression, by: float, *, known: bool) -> tuple[float, float]:
+    """Return the inertia without discs and its standard error; ``known``: by two of them."""
+    value, sigma = solution.estimate(_INERTIA)
+    if not known:
+        return value, sigma
+    at = [solution.columns.index(column) for column in (_INERTIA, _DISC)]  # J = g (J / g), g = 1 / coefficient
+    slope = np.array([by, -(by**2) * value])
+    return by * value, math.sqrt(float(slope @ solution.covariance[np.ix_(at, at)] @ slope))
 
-        Negative friction is none: then the torque is in error with the speed, as by a latency of the angle.
-        """
-        if column not in self.solution.columns:
-            return None, None
-        value, sigma = self.solution.estimate(column)
-        told = (abs(value) if column == _LOAD else value) > _TOLD * sigma > 0
-        return (by * value, by * sigma) if told else (None, None)
+
+def _term(solution: BlockRegression, column: int, by: float) -> tuple[float | None, float | None]:
+    """Return a term and its standard error, None if the motion does not tell it.
+
+    Negative friction is none: then the torque is in error with the speed, as by a latency of the angle.
+    """
+    if column not in solution.columns:
+        return None, None
+    value, sigma = solution.estimate(column)
+    told = (abs(value) if column == _LOAD else value) > _TOLD * sigma > 0
+    return (by * value, by * sigma) if told else (None, None)
 
 
 def _with_known(count: int, inertia: float | None) -> FloatArray:

@@ -168,7 +168,7 @@ def _warnings(fit: StaticFit, coverage: float, i_max: float) -> Iterator[Message
     if DELAY in fit.effects:
         delay, spread = fit.coefficient(1 + fit.effects.index(DELAY))
         yield Message("compensated_late", delay=delay, sigma=spread)
-    if fit.asymmetric:
+    if fit.basis.odd:
         psi, _ = fit.flux(np.zeros((1, 2)))
         yield Message("mirror_asymmetry.points", flux=psi[0, 1], angle=np.arctan2(psi[0, 1], psi[0, 0]))
 

@@ -83,11 +83,6 @@ class StaticFit(_Weighed):
         return isinstance(self.basis, CoEnergyBasis)
 
     @property
-    def asymmetric(self) -> bool:
-        """Whether the map has a part that is not symmetric about the d axis."""
-        return self.basis.odd
-
-    @property
     def condition(self) -> float:
         """Condition number of the covariance, columns scaled."""
         by = np.sqrt(np.maximum(np.diag(self.posterior.covariance), np.finfo(float).tiny))

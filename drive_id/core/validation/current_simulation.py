@@ -78,15 +78,7 @@ def simulate_current(
     -------
     (N, 2) float
         Simulated i_dq at the stamps, A; NaN from where a run diverged on.
-
-    Raises
-    ------
-    ValueError
-        When the currents of the drop are not equally spaced.
     """
-    spacing = np.diff(drop[0])
-    if not np.allclose(spacing, spacing[0], rtol=1e-6, atol=0.0):
-        raise ValueError("the currents of the inverter's curve must be equally spaced")
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
     u_s = frames.as_pairs(frames.space_vector(samples.u_abc))
     largest = float(np.abs([model.d.low, model.d.high, model.q.low, model.q.high]).max())
@@ -343,22 +335,10 @@ def _simulate(
 ) -> None:
     """Integrate over one run (N,); steps of Runge-Kutta are halved where the loss bends and doubled again behind.
 
-    Parameters
-    ----------
-    u_s : (N, 2) float
-        Held voltage in the stator frame, V.
-    angle : (N,) float
-        rad, not wrapped.
-    orders : (H,) float
-    constants : (6,) float
-        R, ohm; period, s; least steps per radian; error above which a step is divided, Wb; current at which the
-        simulation has diverged, A; damping of the search, H^2.
-    curve, axes, table
-        See :func:`loss` and :func:`flux_table`.
-    start : (2,) float
-        First current, A.
-    out : (N, 2) float
-        Output, A; unchanged from where the simulation diverged on.
+    Takes the held voltage (N, 2) in the stator frame, V, the angle (N,), rad, not wrapped, the orders of the harmonics,
+    constants (R, ohm; period, s; least steps per radian; error above which a step is divided, Wb; current at which the
+    simulation has diverged, A; damping of the search, H^2), what :func:`loss` and :func:`flux_table` take, and the
+    first current, A. Writes to ``out`` (N, 2), A, which stays as it is from where the simulation diverged on.
     """
     period, steps_per_turn, bend_limit, diverged = constants[1], constants[2], constants[3], constants[4]
     here = np.zeros(33 + 2 * len(orders))
@@ -379,20 +359,9 @@ def _simulate(
                 work[j] = point[j]
             held, thetas = (u_s[k, 0], u_s[k, 1]), (angle[k] + 0.5 * (since + until) * by, angle[k] + until * by)
             new_psi, new_turn, bend = _step(
-                psi,
-                turn,
-                held,
-                thetas,
-                (until - since) * period,
-                orders,
-                constants,
-                curve,
-                axes,
-                table,
-                here,
-                work,
+                psi, turn, held, thetas, (until - since) * period, orders, constants, curve, axes, table, here, work,
                 trial,
-            )
+            )  # fmt: skip
             if bend > bend_limit and size > 1:
                 size //= 2
                 continue

@@ -19,24 +19,13 @@ class SimulatedCurrent:
     """Simulated against measured current.
 
     Times are times of data: gaps are left out.
-
-    Parameters
-    ----------
-    time : (N,) float
-        Of an excerpt of one second at most around the largest deviation, s.
-    measured, simulated : (N, 2) float
-        i_d and i_q there, A; NaN from where the simulation diverged.
-    bin_time : (T,) float
-        Centres of equal bins of the whole simulation, s.
-    deviation : (T, 2) float
-        Mean absolute deviation of i_d and i_q in each bin, A; NaN where the simulation diverged.
     """
 
-    time: FloatArray
-    measured: FloatArray
-    simulated: FloatArray
-    bin_time: FloatArray
-    deviation: FloatArray
+    time: FloatArray  # (N,), of an excerpt of one second at most around the largest deviation, s
+    measured: FloatArray  # (N, 2), i_d and i_q there, A
+    simulated: FloatArray  # (N, 2), likewise; NaN from where the simulation diverged
+    bin_time: FloatArray  # (T,), centres of equal bins of the whole simulation, s
+    deviation: FloatArray  # (T, 2), mean absolute deviation in each bin, A; NaN where the simulation diverged
 
 
 def simulated_current(

@@ -45,47 +45,23 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Reply:
-    """What came of a request.
+    """What came of a request."""
 
-    Parameters
-    ----------
-    code : str
-        ``ok``, ``busy``, or that of the error.
-    message : str
-        A sentence.
-    identification : IdentifiedDrive or None
-        Unless there was an error.
-    warnings : tuple of Message
-        About the samples and about the fit.
-    machine : str
-        Empty when unknown.
-    stamp : int
-        Of the last sample, ns.
-    output : str
-        Folder of the result files.
-    samples : JoinReport or None
-        What became of the live signals, also without success.
-    refit : Refit or None
-        The fit of the live samples, for later ones to start from.
-    provisional : bool
-        Whether nobody requested it: the result of a fit in the background.
-    """
-
-    code: str
-    message: str
-    identification: IdentifiedDrive | None = None
-    warnings: tuple[Message, ...] = ()
-    machine: str = ""
-    stamp: int = 0
-    output: str = ""
-    samples: JoinReport | None = None
-    refit: Refit | None = None
-    provisional: bool = False
+    code: str  # ok, busy, or that of the error
+    message: str  # a sentence
+    identification: IdentifiedDrive | None = None  # unless there was an error
+    warnings: tuple[Message, ...] = ()  # about the samples and about the fit
+    machine: str = ""  # empty when unknown
+    stamp: int = 0  # of the last sample, ns
+    output: str = ""  # folder of the result files
+    samples: JoinReport | None = None  # what became of the live signals, also without success
+    refit: Refit | None = None  # the fit of the live samples, for later ones to start from
+    provisional: bool = False  # nobody requested it: the result of a fit in the background
 
     @property
     def success(self) -> bool:
         """Whether there is a result."""
-        return self.identification is not None
+        return self.code == "ok"
 
 
 Job = Callable[[Progress], Reply]
@@ -146,7 +122,7 @@ class Identifier:
     def receive_scalar(self, name: str, data: bytes) -> None:
         """Take one serialized message of an optional signal, by its name in :class:`~drive_id.types.Samples`."""
         try:
-            self.live.add_scalar(name, self._scalar_streams[name].decode(data))
+            self.live.join.add_scalar(name, self._scalar_streams[name].decode(data))
         except DriveIdError as error:
             self._note(error)
 

@@ -133,10 +133,6 @@ class LiveEvidence:
             for piece in pieces:
                 self._gathered.add(piece)
 
-    def add_scalar(self, name: str, piece: Signal) -> None:
-        """Take a further part of an optional signal, see :meth:`StreamJoin.add_scalar`."""
-        self.join.add_scalar(name, piece)
-
     def snapshot(self, method: str = "") -> Snapshot:
         """Return what has arrived so far, to be fitted in another thread.
 

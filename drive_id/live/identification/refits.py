@@ -31,23 +31,13 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """A finished fit of live samples.
-
-    Parameters
-    ----------
-    samples : int
-        Number of samples, rests not counted.
-    stamp : int
-        Stamp of the last sample, ns.
-    selected : bool
-        Whether the fit selected its model itself instead of reusing an earlier selection.
-    """
+    """A finished fit of live samples."""
 
     settings: FitSettings
-    samples: int
-    stamp: int
+    samples: int  # number, rests not counted
+    stamp: int  # of the last sample, ns
     conclusion: Conclusion
-    selected: bool
+    selected: bool  # the fit selected its model itself instead of reusing an earlier selection
 
     @property
     def drive(self) -> IdentifiedDrive:

@@ -35,21 +35,11 @@ class Stage:
 
 @dataclass(eq=False)
 class Request:
-    """A request for a fit.
+    """A request for a fit."""
 
-    Parameters
-    ----------
-    make : callable
-        Returns the job when its turn comes; may raise DriveIdError.
-    finish : callable
-        Called once, with the reply.
-    tell : callable, optional
-        Called with the stage, some ten times a second while it changes.
-    """
-
-    make: Callable[[], Job]
-    finish: Callable[[Reply], None]
-    tell: Callable[[Stage], None] | None = None
+    make: Callable[[], Job]  # returns the job when its turn comes; may raise DriveIdError
+    finish: Callable[[Reply], None]  # called once, with the reply
+    tell: Callable[[Stage], None] | None = None  # called with the stage, some ten times a second while it changes
 
 
 class _Running:

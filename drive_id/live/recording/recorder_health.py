@@ -16,23 +16,13 @@ _SCARCE = 10.0
 
 @dataclass(frozen=True)
 class TopicState:
-    """Publishers and activity of a topic.
-
-    Parameters
-    ----------
-    publishers : sequence of Publisher
-        All of the topic, of any type.
-    silent_for : float or None
-        Time since the last message, s; None when there was none yet.
-    optional : bool
-        It may be absent, slow or silent.
-    """
+    """Publishers and activity of a topic."""
 
     topic: str
     type_name: str
-    publishers: Sequence[Publisher]
-    silent_for: float | None
-    optional: bool = False
+    publishers: Sequence[Publisher]  # all of the topic, of any type
+    silent_for: float | None  # time since the last message, s; None when there was none yet
+    optional: bool = False  # it may be absent, slow or silent
 
 
 def recorder_health(

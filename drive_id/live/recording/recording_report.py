@@ -10,43 +10,21 @@ from drive_id.types import NANOSECONDS
 
 @dataclass(frozen=True)
 class TopicReport:
-    """State of one topic.
-
-    Parameters
-    ----------
-    messages : int
-        In the bag.
-    received, written : int
-        Samples that arrived, and samples in the bag.
-    lost, losses : int
-        Samples that never arrived (gaps in ``first_sample``), and the number of gaps.
-    overflowed : int
-        Samples that arrived when the queue was full.
-    discarded : int
-        Samples that were in the queue when the disk refused and the recording ended.
-    restarts : int
-        Places where ``first_sample`` ran backwards.
-    unreadable : int
-        Messages that are not blocks of samples; they are recorded nevertheless.
-    uncounted : bool
-        ``first_sample`` is always 0, so that samples that never arrived do not show.
-    first_stamp, last_stamp : int or None
-        Of the first and of the last sample in the bag, ns.
-    """
+    """State of one topic."""
 
     topic: str
-    messages: int = 0
-    received: int = 0
-    written: int = 0
-    lost: int = 0
-    losses: int = 0
-    overflowed: int = 0
-    discarded: int = 0
-    restarts: int = 0
-    unreadable: int = 0
-    uncounted: bool = False
-    first_stamp: int | None = None
-    last_stamp: int | None = None
+    messages: int = 0  # in the bag
+    received: int = 0  # samples that arrived
+    written: int = 0  # samples in the bag
+    lost: int = 0  # samples that never arrived: gaps in first_sample
+    losses: int = 0  # number of such gaps
+    overflowed: int = 0  # samples that arrived when the queue was full
+    discarded: int = 0  # samples in the queue when the disk refused and the recording ended
+    restarts: int = 0  # places where first_sample ran backwards
+    unreadable: int = 0  # messages that are no blocks of samples; they are recorded nevertheless
+    uncounted: bool = False  # first_sample is always 0, so that samples that never arrived do not show
+    first_stamp: int | None = None  # of the first sample in the bag, ns
+    last_stamp: int | None = None  # of the last one, ns
 
     @property
     def dropped(self) -> int:
@@ -68,34 +46,16 @@ class TopicReport:
 
 @dataclass(frozen=True)
 class RecordingReport:
-    """State of a recording, running or ended.
+    """State of a recording, running or ended."""
 
-    Parameters
-    ----------
-    path : Path
-        The bag.
-    topics : tuple of TopicReport
-        The first one, the phase currents, gives ``samples`` and ``duration``.
-    size : int
-        Bytes on the disk.
-    waiting : int
-        Bytes in the queue.
-    error : str
-        Why the recording ended by itself; empty when it did not.
-    remark : str
-        A sentence on what is wrong with the log times; empty if nothing is.
-    free : int or None
-        Bytes free on the disk at the last flush; None when that is unknown.
-    """
-
-    path: Path
-    topics: tuple[TopicReport, ...]
+    path: Path  # of the bag
+    topics: tuple[TopicReport, ...]  # the first one, the phase currents, gives samples and duration
     files: int
-    size: int
-    waiting: int = 0
-    error: str = ""
-    remark: str = ""
-    free: int | None = None
+    size: int  # on the disk, bytes
+    waiting: int = 0  # in the queue, bytes
+    error: str = ""  # why the recording ended by itself; empty when it did not
+    remark: str = ""  # a sentence on what is wrong with the log times; empty if nothing is
+    free: int | None = None  # on the disk at the last flush, bytes; None when that is unknown
 
     @property
     def messages(self) -> int:

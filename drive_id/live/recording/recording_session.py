@@ -28,29 +28,15 @@ _OVERHEAD = 250  # bytes a message costs in the queue beyond its data
 
 @dataclass(frozen=True)
 class RecordedTopic:
-    """A topic to record.
+    """A topic to record."""
 
-    Parameters
-    ----------
-    name, type_name : str
-        Absolute name, and ``package/msg/Name``.
-    qos : Qos, optional
-        That it is offered with.
-    optional : bool
-        It is in the bag and in the report from its first message on, and not before.
-    blocks : bool
-        Its messages are blocks of samples; otherwise, each message counts as one sample.
-    definition, hash_ : str
-        Of a type that is not ours: complete ``ros2msg`` definition, and RIHS01 hash.
-    """
-
-    name: str
-    type_name: str
-    qos: Qos | None = None
-    optional: bool = False
-    blocks: bool = True
-    definition: str = ""
-    hash_: str = ""
+    name: str  # absolute
+    type_name: str  # package/msg/Name
+    qos: Qos | None = None  # that it is offered with
+    optional: bool = False  # it is in the bag and in the report from its first message on, and not before
+    blocks: bool = True  # its messages are blocks of samples; otherwise, each counts as one sample
+    definition: str = ""  # complete ros2msg definition of a type that is not ours
+    hash_: str = ""  # its RIHS01 hash
 
 
 class _Waiting(NamedTuple):

@@ -46,20 +46,12 @@ _LEAST_CURRENT = 0.01
 
 @dataclass(frozen=True)
 class Merit:
-    """A figure of merit at a glance.
-
-    Parameters
-    ----------
-    level : str
-        ``good``, ``fair``, ``weak`` or ``unknown``; empty where there is nothing to judge.
-    meaning : str
-        What it says, and what counts as good and weak.
-    """
+    """A figure of merit at a glance."""
 
     name: str
     value: str
-    level: str
-    meaning: str
+    level: str  # good, fair, weak or unknown; empty where there is nothing to judge
+    meaning: str  # what it says, and what counts as good and weak
 
 
 @dataclass(frozen=True)
@@ -73,37 +65,16 @@ class TextTable:
 
 @dataclass(frozen=True)
 class Content:
-    """All text and numbers of a report.
-
-    Parameters
-    ----------
-    headline : tuple of Quantity
-        What is asked for first.
-    figures : tuple of Merit
-        Quality at a glance.
-    advice : str
-        What would help most; empty where nothing is known.
-    knowledge : dict of str to tuple of str
-        Sentences by their heading: what the result states, what the data leave open, and what to do next.
-    drop : str
-        What the inverter's drop amounts to; empty where the DC link is not known.
-    comparison : str
-        A sentence on what modelling the inverter changes; empty where it is not known.
-    paragraph : str
-        Of method, to paste.
-    missing : dict of str to str
-        Section to why it shows nothing.
-    twin : dict
-        ``identification.json``.
-    """
+    """All text and numbers of a report."""
 
     title: str
     subtitle: str
-    headline: tuple[Quantity, ...]
-    figures: tuple[Merit, ...]
-    advice: str
+    headline: tuple[Quantity, ...]  # what is asked for first
+    figures: tuple[Merit, ...]  # quality at a glance
+    advice: str  # what would help most; empty where nothing is known
     warnings: tuple[str, ...]
     knowledge: dict[str, tuple[str, ...]]
+    """By heading: what the result states, what the data leave open, and what to do next."""
     values: TextTable
     methods: TextTable
     calibrations: TextTable
@@ -111,11 +82,11 @@ class Content:
     inputs: TextTable
     versions: TextTable
     operation: TextTable
-    drop: str
-    comparison: str
-    paragraph: str
-    missing: dict[str, str]
-    twin: dict[str, Any]
+    drop: str  # what the inverter's drop amounts to; empty where the DC link is not known
+    comparison: str  # a sentence on what modelling the inverter changes; empty where it is not known
+    paragraph: str  # of method, to paste
+    missing: dict[str, str]  # section to why it shows nothing
+    twin: dict[str, Any]  # identification.json
 
 
 def content_of(result: Result, operation: TorqueMap | None) -> Content:

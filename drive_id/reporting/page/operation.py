@@ -25,52 +25,25 @@ _SAME = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class SpeedMap:
-    """Efficiency over torque and speed, at the least stator current, within the limits of current and voltage.
+    """Efficiency over torque and speed, at the least stator current, within the limits of current and voltage."""
 
-    Parameters
-    ----------
-    u_dc : float
-        V; the voltage is limited to u_dc / sqrt(3).
-    speed : (S,) float
-        Mechanical, rad/s.
-    largest : (S,) float
-        Torque of the envelope, Nm.
-    torque : (N,) float
-        Nm.
-    efficiency : (S, N) float
-        Shaft power, mechanical losses aside, over electrical power; NaN beyond the envelope and without data.
-    iron : bool
-        Whether the losses hold an identified iron loss, beside those of the winding and the inverter.
-    """
-
-    u_dc: float
-    speed: FloatArray
-    largest: FloatArray
-    torque: FloatArray
+    u_dc: float  # V; the voltage is limited to u_dc / sqrt(3)
+    speed: FloatArray  # (S,), mechanical, rad/s
+    largest: FloatArray  # (S,), torque of the envelope, Nm
+    torque: FloatArray  # (N,), Nm
     efficiency: FloatArray
-    iron: bool
+    """(S, N), shaft over electrical power, mechanical losses aside; NaN beyond the envelope and without data."""
+    iron: bool  # the losses hold an identified iron loss, beside those of the winding and the inverter
 
 
 @dataclass(frozen=True, eq=False)
 class TorqueMap:
-    """Torque and the lines of operation of a machine whose pole pairs are known.
+    """Torque and the lines of operation of a machine whose pole pairs are known."""
 
-    Parameters
-    ----------
-    torque : (D, Q) float
-        On the grid of the flux map, Nm, NaN where there are no data.
-    lines : dict of str to CurrentLocus
-        MTPA in both directions of torque, and MTPV, where there are data; without those that lie beyond them.
-    ripple : (D, Q) float or None
-        Peak to peak, Nm; None without rotor-position harmonics.
-    speeds : SpeedMap or None
-        None when the DC-link voltage or the resistance is unknown.
-    """
-
-    torque: FloatArray
-    lines: dict[str, CurrentLocus]
-    ripple: FloatArray | None
-    speeds: SpeedMap | None
+    torque: FloatArray  # (D, Q), on the grid of the flux map, Nm, NaN where there are no data
+    lines: dict[str, CurrentLocus]  # MTPA in both directions of torque, and MTPV, as far as there are data
+    ripple: FloatArray | None  # (D, Q), peak to peak, Nm; None without rotor-position harmonics
+    speeds: SpeedMap | None  # None when the DC-link voltage or the resistance is unknown
 
 
 def torque_map(result: Result) -> TorqueMap | None:

@@ -81,13 +81,6 @@ def test_polynomials_become_splines_without_loss_up_to_cubics():
     np.testing.assert_allclose(spline.rows(i_dq).dot(coefficients), model.rows(i_dq).dot(gamma), atol=1e-11)
 
 
-def test_splines_stay_themselves():
-    gamma = np.arange(SPLINE.parameters, dtype=float)
-    model, same = as_tensor_spline(SPLINE, gamma, Axis(0, 1, 4), Axis(0, 1, 4))
-    assert model is SPLINE
-    assert same is gamma
-
-
 def test_collocation_is_the_basis():
     axis, points = Axis(-3.0, 5.0, 9), np.linspace(-3.0, 5.0, 9)
     np.testing.assert_allclose(axis.collocation(points), bases(points, -3.0, 5.0, 9), atol=1e-14)
@@ -109,8 +102,6 @@ def test_extension_continues_a_linear_machine_exactly_and_leaves_the_rest_alone(
         (lambda: Axis(1.0, 1.0, 8), "is empty"),
         (lambda: Axis(0.0, float("nan"), 8), "is empty"),
         (lambda: Axis(0.0, 1.0, 3), "too few"),
-        (lambda: Polynomial(0, 1.0), "degree 0"),
-        (lambda: Polynomial(2, 0.0), "must be positive"),
     ],
 )
 def test_nonsense_is_refused(make, fragment):

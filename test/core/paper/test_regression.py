@@ -138,7 +138,8 @@ def test_samples_beyond_the_model_are_left_out_and_counted(coarse):
 
 
 def test_the_number_of_blocks_stays_bounded_and_their_sum_exact(coarse, model):
-    information = RegressionSums(model, TanhShape(), block_duration=0.01, max_blocks=8)
+    information = RegressionSums(model, TanhShape())
+    information.block_duration, information.max_blocks = 0.01, 8
     information.add(coarse)
     expected = gram(model, coarse)
     assert 4 <= len(information.blocks) <= 8

@@ -53,13 +53,6 @@ def simulated(simulation, samples=None, **model):
     )
 
 
-def test_a_curve_of_unequal_spacing_is_refused():
-    axis = Axis(-1.0, 1.0, 4)
-    drop = np.array([-1.0, 0.0, 2.0]), np.zeros(3)
-    with pytest.raises(ValueError, match="equally spaced"):
-        simulate_current(synthetic.record(duration=0.001), TensorSpline(axis, axis), np.ones(32), {}, 0.0, drop)
-
-
 def short_run():
     axis = Axis(-350.0, 350.0, 8)
     nodes = np.linspace(axis.low, axis.high, axis.count)

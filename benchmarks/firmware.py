@@ -19,7 +19,6 @@ from reporting import write_between
 
 from drive_id.exchange.exports.exporting import content_of
 from drive_id.exchange.exports.options import ExportOptions
-from drive_id.exchange.exports.table import TableChoice
 from drive_id.fitting.result import Identification
 
 _PAGE = Path(__file__).parent.parent / "docs" / "exchange.md"
@@ -52,8 +51,8 @@ def main() -> None:
 def measured(result: Identification) -> str:
     """Return a table of code size (bytes) and instructions per call of each function."""
     axis = np.linspace(-result.i_max, result.i_max, _POINTS)
-    options = ExportOptions(bandwidth=6000.0, sample_period=1e-4)
-    header, _ = content_of(result, "c-header", TableChoice(axis, axis), options)
+    options = ExportOptions(axis, axis, bandwidth=6000.0, sample_period=1e-4)
+    header, _ = content_of(result, "c-header", options)
     lines = ["| function | code, bytes | instructions per call | cycles, about |", "|---|---:|---:|---:|"]
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)

@@ -19,27 +19,13 @@ _LEAST_SHARE = 1e-8
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity with its standard error; its text is that of :func:`measured`.
+    """A quantity with its standard error; its text is that of :func:`measured`."""
 
-    Parameters
-    ----------
-    name : str
-        With the field's symbol, such as ``L_d at zero current``.
-    value : float
-        In ``unit``.
-    sigma : float
-        Standard error; not finite where it is not known.
-    unit : str
-        SI.
-    note : str
-        What it holds for, a sentence; empty where the name says all.
-    """
-
-    name: str
-    value: float
-    sigma: float
-    unit: str
-    note: str = ""
+    name: str  # with the field's symbol, such as ``L_d at zero current``
+    value: float  # in ``unit``
+    sigma: float  # standard error; not finite where it is not known
+    unit: str  # SI
+    note: str = ""  # what it holds for, a sentence; empty where the name says all
 
     def __str__(self) -> str:
         return measured(self.value, self.sigma, self.unit)

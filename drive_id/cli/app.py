@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from drive_id.analysis.settings import AnalysisSettings
 from drive_id.cli import console, options
 from drive_id.cli.archive import index_results, serve_results
 from drive_id.cli.logs import check_log, convert_log
 from drive_id.cli.maps import export_result, import_file
-from drive_id.cli.plan import plan_experiment, plan_settings
+from drive_id.cli.plan import plan_experiment
 from drive_id.cli.results import analyze, compare_results, report_result, verify_result
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError, OutputError
@@ -37,12 +36,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
-
-
-def _simulation_settings() -> type[Any]:
-    from drive_id.bench.settings import SimulationSettings
-
-    return SimulationSettings
 
 
 class FigureFormat(str, Enum):
@@ -118,7 +111,7 @@ def _common(
 
 
 @app.command(
-    cls=options.listing(_simulation_settings),
+    cls=options.listing("drive_id.bench.settings:SimulationSettings"),
     epilog="Example: drive-id simulate --machine ipm --output bag; drive-id fit bag --output result",
 )
 def simulate(
@@ -180,7 +173,7 @@ def simulate(
 
 
 @app.command(
-    cls=options.listing(lambda: FitSettings),
+    cls=options.listing("drive_id.core.fit_settings:FitSettings"),
     epilog="For bags with other messages, write a signals file: see config/signals_example_stranger.yaml.",
 )
 def fit(
@@ -276,7 +269,7 @@ def _sources(paths: list[Path], signals: Path | None, namespace: str, workers: i
 
 
 @app.command(
-    cls=options.listing(lambda: FitSettings),
+    cls=options.listing("drive_id.core.fit_settings:FitSettings"),
     epilog="Example: drive-id accumulate mon --i-max 300 --output mon.info; drive-id fit mon.info tue --output all",
 )
 def accumulate(
@@ -329,8 +322,7 @@ def info(
 ) -> None:
     """Show what a bag, a result folder or an information file holds. Messages of a bag are not read."""
     from drive_id.files.read.info import bag_info
-    from drive_id.files.results.folder import is_result
-    from drive_id.files.results.information_name import is_information
+    from drive_id.files.results.folder import is_information, is_result
     from drive_id.reporting.tables import info_table
 
     if is_information(path):
@@ -399,11 +391,11 @@ app.command(
 app.command(name="convert", epilog="Example: drive-id convert log.mf4 bag --signals signals.yaml")(convert_log)
 app.command(
     name="plan",
-    cls=options.listing(plan_settings),
+    cls=options.listing("drive_id.core.planning.settings:PlanSettings"),
     epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",
 )(plan_experiment)
 app.command(
-    cls=options.listing(lambda: AnalysisSettings),
+    cls=options.listing("drive_id.analysis.settings:AnalysisSettings"),
     epilog="Example: drive-id analyze result --output analysis --u-dc 400 --temperature 80",
 )(analyze)
 app.command(

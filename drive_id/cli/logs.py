@@ -23,15 +23,13 @@ def check_log(
     quiet: options.QuietFlag = False,
 ) -> None:
     """Inspect a log before a fit: list its contents, check it, and propose where the signals are."""
-    from drive_id.files.messages.signals_file import read_signals
     from drive_id.files.results.folder import replace_file
-    from drive_id.inspection.inspect import inspect_log
+    from drive_id.inspection.inspect import check
     from drive_id.reporting.log_tables import inspection_tables
 
     _refuse(draft, picture, force=force)
-    signal_map = read_signals(signals) if signals else None
     with console.working(quiet or as_json) as tell:
-        found = inspect_log(log, signal_map, namespace=namespace, draft=draft is not None, tell=tell)
+        found = check(log, signals=signals, namespace=namespace, draft=draft is not None, tell=tell)
     if draft is not None and found.draft is not None:
         replace_file(draft, found.draft.text.encode())
     if picture is not None and found.overview is None:

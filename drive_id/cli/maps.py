@@ -55,24 +55,24 @@ def import_file(
 ) -> None:
     """Read a flux map of another tool, check that it is plausible, and write it as a result folder."""
     from drive_id.exchange.imports.conventions import Conventions
-    from drive_id.exchange.imports.importing import ImportOptions, import_map
+    from drive_id.exchange.imports.importing import import_map
     from drive_id.exchange.imports.source import Source
     from drive_id.files.results.folder import check_output
     from drive_id.files.results.identification import results_tree, write_results
     from drive_id.pictures.plots import rendered
 
     scalars = _positive(pole_pairs=pole_pairs, resistance=resistance, i_max=i_max, u_dc=u_dc)
-    source = Source(
-        file, columns=_columns(columns), psi_q_file=psi_q_file, angle=angle, angle_offset=angle_offset, scalars=scalars
-    )
     conventions = Conventions(
         order=order, sign=sign, magnet=magnet, q_axis=q_axis, current=current, flux=flux,
         current_scale=current_scale, flux_scale=flux_scale,
     )  # fmt: skip
+    source = Source(
+        file, format_name, axis, conventions, machine, _columns(columns), psi_q_file, angle, angle_offset, scalars
+    )
     output = output or options.beside(file, "_map")
     check_output(output, force=force)
     with console.working(quiet or as_json, "Importing"):
-        result = import_map(source, ImportOptions(format_name, axis, conventions, machine))
+        result = import_map(source)
         pictures = {"flux_map.png": rendered(result.plot())}
         write_results(output, result.drive, result.provenance, force=force, pictures=pictures)
     if as_json:
@@ -143,7 +143,6 @@ def export_result(
     from drive_id.exchange.exports.exporting import export_map
     from drive_id.exchange.exports.formats import export_format
     from drive_id.exchange.exports.options import ExportOptions
-    from drive_id.exchange.exports.table import TableChoice
     from drive_id.fitting.result import load
 
     title = export_format(format_name).title
@@ -158,10 +157,9 @@ def export_result(
                 "--axis-d and --axis-q leave nothing for --grid and --range to choose: drop one pair."
             )
     i_d, i_q = (common if axis is None else axis for axis in given)
-    choice = TableChoice(i_d, i_q, fill, pole_pairs, u_dc)
-    wanted = ExportOptions(leakage, bandwidth, sample_period, phase_margin)
+    wanted = ExportOptions(i_d, i_q, fill, pole_pairs, u_dc, leakage, bandwidth, sample_period, phase_margin)
     with console.working(quiet or as_json, "Exporting"):
-        exported = export_map(result, format_name, output, choice, wanted, force=force)
+        exported = export_map(result, format_name, output, wanted, force=force)
     if as_json:
         tree = {"output": str(output), "format": format_name} | dataclasses.asdict(exported)
         console.print_json(tree | {"warnings": list(exported.warnings)})

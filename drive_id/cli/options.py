@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import asdict, fields
 from itertools import count
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
@@ -64,8 +65,8 @@ FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with fit s
 ForceFlag = Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")]
 
 
-def listing(settings: Callable[[], type[Any]]) -> type[TyperCommand]:
-    """Return a class of commands whose help lists the settings of the dataclass that is returned."""
+def listing(settings: str) -> type[TyperCommand]:
+    """Return a class of commands whose help lists the settings of a dataclass, ``module:name``, loaded only then."""
 
     class Listing(TyperCommand):
         def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -73,7 +74,7 @@ def listing(settings: Callable[[], type[Any]]) -> type[TyperCommand]:
             from drive_id.reporting.tables import plain_table
 
             table = plain_table("Settings for --set NAME=VALUE and --config", ["Name", "Default", "Meaning"])
-            for entry in fields(settings()):
+            for entry in fields(resolve_name(settings)):
                 meaning, unit = entry.metadata["description"], spelled(entry.metadata["unit"])
                 default = entry.default if isinstance(entry.default, str) else json.dumps(entry.default)
                 shown = "" if entry.default in (None, ()) else default

@@ -9,13 +9,6 @@ import typer
 from drive_id.cli import console, options
 
 
-def plan_settings() -> type[Any]:
-    """Return the settings of this command."""
-    from drive_id.core.planning.settings import PlanSettings
-
-    return PlanSettings
-
-
 def plan_experiment(
     machine: Annotated[str, typer.Option(help="ipm, spm, pmsyrm, a machine file, or a result folder.")] = "",
     i_max: Annotated[float | None, typer.Option(help="Radius of the current disc, A.")] = None,

@@ -27,8 +27,8 @@ from drive_id.files.read.column_stream import largest_reference
 from drive_id.files.read.extraction import SignalStream
 from drive_id.files.read.reader import find_topics
 from drive_id.files.read.several import read_recording
+from drive_id.files.results.folder import is_information
 from drive_id.files.results.information import read_information
-from drive_id.files.results.information_name import is_information
 from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.processes import in_processes
 from drive_id.fitting.streaming import accumulate

@@ -61,7 +61,7 @@ GUESSED_PERIOD = 1e-4
 
 
 class NoAngleError(ConfigurationError):
-    """The log holds components in d and q, and no angle."""
+    """The log holds no angle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,15 +92,12 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     voltages = sorted(groups, key=voltage_points, reverse=True)
     kinds = (("three balanced currents or voltages", groups), ("a rotor angle", angles))
     missing = [what for what, found in kinds if not found]
-    if missing and not angles and _has_components(contents):
-        raise NoAngleError(
-            f"Nothing in {contents.path} looks like a rotor angle: if it is a slow log in d and q, write a signals "
-            "file without one, as in docs/slow_logs.md, and fit with --method static."
-        )
     if missing:
-        raise ConfigurationError(
+        kind = ConfigurationError if angles else NoAngleError
+        raise kind(
             f"Nothing in {contents.path} looks like {' or '.join(missing)}: write the signals file by hand, from "
-            "config/signals_example_stranger.yaml or signals_example_columns.yaml."
+            "config/signals_example_stranger.yaml or signals_example_columns.yaml, or without an angle for a slow log "
+            "in d and q, as in docs/slow_logs.md."
         )
     choice = _chosen(currents, voltages, angles, dc_link(tables))
     if choice is None:
@@ -168,12 +165,6 @@ def time_column(table: Table) -> tuple[str, str] | None:
     return None
 
 
-def _has_components(contents: Contents) -> bool:
-    """Tell whether the names of two pairs of columns at least are those of d and q."""
-    found = [group for table in contents.tables for group in name_groups(list(table.columns)) if group.frame == "dq"]
-    return len(found) > 1
-
-
 def _groups(table: Table) -> Iterator[PhaseGroup]:
     moving = {name: x for name, x in table.columns.items() if len(x) == len(table.stamp) and np.ptp(x) > 0}
     for group in name_groups(list(moving)):
@@ -184,10 +175,15 @@ def _groups(table: Table) -> Iterator[PhaseGroup]:
 
 def _balanced(values: FloatArray) -> bool:
     """Return whether phases (N, 2 or 3), less their common part, have about equal size and are no angles or times."""
-    three = values if values.shape[1] == 3 else np.column_stack([values, -values.sum(axis=1)])
+    three = _three(values)
     part = three - three.mean(axis=1, keepdims=True)
     size = part.std(axis=0)
     return bool(size.min() > 0 and size.max() / size.min() < 1 + _BALANCED)
+
+
+def _three(values: FloatArray) -> FloatArray:
+    """Return three phases (N, 3); the third of two is minus their sum."""
+    return values if values.shape[1] == 3 else np.column_stack([values, -values.sum(axis=1)])
 
 
 def _angles(table: Table) -> Iterator[AngleColumn]:
@@ -259,7 +255,7 @@ def _by_rotation(u: PhaseGroup, angle: AngleColumn) -> list[tuple[float, float |
     """Return the counts per revolution, modulus and pole pairs that make the angle rotate with the voltages."""
     if u.group.frame == "dq":
         return []
-    z = _vector(u)
+    z = _vector(u.group.frame, u.values)
     seconds = float(u.table.stamp[-1] - u.table.stamp[0])
     x = angle.like.unwrapped(angle.values)
     moved = float(x[-1] - x[0]) / float(angle.table.stamp[-1] - angle.table.stamp[0]) * seconds
@@ -270,14 +266,16 @@ def _by_rotation(u: PhaseGroup, angle: AngleColumn) -> list[tuple[float, float |
     return [(float(count), modulus, (pole_pairs, -pole_pairs)) for count, pole_pairs in likely]
 
 
-def _vector(found: PhaseGroup) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
-    if found.group.frame == "alpha_beta":
-        return np.asarray(found.values[:, 0] + 1j * found.values[:, 1])
-    values = found.values
-    if found.group.frame == "line_to_line":  # leads the phases by 30 degrees, larger by the root of 3
-        return np.asarray(_LINES * _vector(replace(found, group=replace(found.group, frame="abc"))))
-    three = values if values.shape[1] == 3 else np.column_stack([values, -values.sum(axis=1)])
-    return np.asarray(frames.space_vector(three))
+def _vector(
+    frame: str, values: FloatArray, theta: FloatArray | None = None
+) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
+    """Return the space vector of phase quantities or components, those in d and q at the angles ``theta``."""
+    if frame in ("alpha_beta", "dq"):
+        z = values[:, 0] + 1j * values[:, 1]
+        return np.asarray(z if theta is None or frame == "alpha_beta" else z * np.exp(1j * theta))
+    if frame == "line_to_line":  # leads the phases by 30 degrees, larger by the root of 3
+        return np.asarray(_LINES * _vector("abc", values))
+    return np.asarray(frames.space_vector(_three(values)))
 
 
 def regular_stamps(table: Table) -> IntArray:
@@ -303,10 +301,10 @@ def _samples(
     x = x * (2 * np.pi / angle.like.turn)
     at = regular_stamps(angle.table)
     theta = np.interp((clock - clock[0]).astype(float), (at - clock[0]).astype(float), x)
-    i_s = _rotated(i, i.values, theta)
+    i_s = _vector(i.group.frame, i.values, theta)
     at = regular_stamps(u.table)
     u_values = u.values if u.table is i.table and len(u.values) == len(clock) else u.values[nearest(clock, at)]
-    u_s = _rotated(u, u_values, theta)
+    u_s = _vector(u.group.frame, u_values, theta)
     if dc is not None and np.abs(u.values).max() < LARGEST_DUTY:
         table, name = dc
         u_s = u_s * np.interp(
@@ -320,14 +318,6 @@ def _samples(
     return Samples(
         clock, frames.phases(i_s), frames.phases(u_s), theta, np.gradient(theta, period), period, run_starts=starts
     )
-
-
-def _rotated(
-    found: PhaseGroup, values: FloatArray, theta: FloatArray
-) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
-    if found.group.frame == "dq":
-        return np.asarray((values[:, 0] + 1j * values[:, 1]) * np.exp(1j * theta))
-    return _vector(replace(found, values=values))
 
 
 def _runs(samples: Samples) -> list[Samples]:

@@ -162,10 +162,8 @@ class _TopicReader:
         self.problem = ""
         self.logged: list[int] = []
         self._stamps: list[int] = []
-        self._paths: dict[str, Any] = {}
-        self._values: dict[str, list[FloatArray]] = {}  # of blocks
-        self._single: list[FieldPath] = []
-        self._rows: list[list[float]] = []  # of messages with one sample
+        self._paths: dict[str, FieldPath] = {}
+        self._rows: list[list[Any]] = []  # of messages: numbers, or (n,) of blocks, by path
         self._block = 1
         try:
             self._decode = decoder(topic, signals)
@@ -186,22 +184,20 @@ class _TopicReader:
             return
         if not self._paths:
             self._begin(decoded)
-        if self._block == 1:
-            try:
-                self._rows.append([float(path.find(decoded)) for path in self._single])
-            except (FieldPathError, TypeError, ValueError):
-                return
-        else:
-            try:
-                row = {name: path.values(decoded) for name, path in self._paths.items()}
-            except FieldPathError:
-                return
-            sizes = {len(values) for values in row.values() if len(values) > 1}
+        try:
+            row: list[Any] = (
+                [float(path.find(decoded)) for path in self._paths.values()]
+                if self._block == 1
+                else [path.values(decoded) for path in self._paths.values()]
+            )
+        except (FieldPathError, TypeError, ValueError):
+            return
+        if self._block > 1:
+            sizes = {len(values) for values in row if len(values) > 1}
             if len(sizes) != 1:
                 return
-            size = sizes.pop()
-            for name, values in row.items():
-                self._values[name].append(values if len(values) > 1 else np.repeat(values, size))
+            row = [values if len(values) > 1 else np.repeat(values, *sizes) for values in row]
+        self._rows.append(row)
         self.logged.append(log_time)
         stamp = getattr(getattr(decoded, "header", None), "stamp", None)
         if stamp is not None:
@@ -218,15 +214,18 @@ class _TopicReader:
                 names = [name] if count == 0 else [f"{name}[{k}]" for k in range(count)]
             for own in names:
                 self._paths[own] = parse_field_path(own, "field")
-                self._values[own] = []
         self._block = size
-        self._single = list(self._paths.values())
 
     def table(self) -> Table:
         """Return what was collected."""
-        columns = {name: np.concatenate(values) for name, values in self._values.items() if values}
-        if self._rows:
+        columns: dict[str, FloatArray] = {}
+        if self._rows and self._block == 1:
             columns = dict(zip(self._paths, np.array(self._rows, np.float64).T, strict=True))
+        elif self._rows:
+            columns = {
+                name: np.concatenate(parts)
+                for name, parts in zip(self._paths, zip(*self._rows, strict=True), strict=True)
+            }
         headed = len(self._stamps) == len(self.logged) and len(set(self._stamps[:50])) > 1
         stamp = np.array(self._stamps if headed else self.logged, np.int64)
         if self._block > 1 and len(stamp) > 1:

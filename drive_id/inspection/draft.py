@@ -43,21 +43,11 @@ _SMOOTHING = 0.003
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A proposed signals file.
+    """A proposed signals file."""
 
-    Parameters
-    ----------
-    text : str
-        YAML with comments.
-    unsure : tuple of str
-        Sentences on what to look at.
-    static : bool
-        It is for method ``static``: without an angle.
-    """
-
-    text: str
-    unsure: tuple[str, ...] = ()
-    static: bool = False
+    text: str  # YAML with comments
+    unsure: tuple[str, ...] = ()  # sentences on what to look at
+    static: bool = False  # it is for method ``static``: without an angle
 
 
 def propose(contents: Contents) -> Draft:
@@ -71,17 +61,17 @@ def propose(contents: Contents) -> Draft:
         found = static_draft(contents)
         if found is None:
             raise
-    body, unsure = found
-    head = [*_title(contents), "# A slow log in d and q without an angle: fit it with --method static."]
-    head += [f"# NOT SURE: {sentence}" for sentence in unsure]
-    return Draft("\n".join([*head, "", *body]) + "\n", tuple(unsure), static=True)
+    return _draft(contents, "A slow log in d and q without an angle: fit it with --method static.", *found, static=True)
 
 
-def _title(contents: Contents) -> list[str]:
-    return [
+def _draft(contents: Contents, remark: str, body: list[str], unsure: list[str], *, static: bool = False) -> Draft:
+    head = [
         f"# Signals file proposed for {printable(contents.path.name)}.",
         "# docs/signals_file.md explains every setting.",
+        f"# {remark}",
+        *([f"# NOT SURE: {sentence}" for sentence in unsure] or ["# Nothing is left open."]),
     ]
+    return Draft("\n".join([*head, "", *body]) + "\n", tuple(unsure), static)
 
 
 class _DraftText:
@@ -98,25 +88,18 @@ class _DraftText:
         """Return the proposal."""
         body = [*self._currents(), "", *self._voltages(), "", *self._rotor(), *self._reference(), *self._optional()]
         if self._choice.currents.table.stamp_source == INDEX:
-            self._doubt(
+            self._unsure.append(
                 "The log has no time column: set sample_period in every section to the time between two rows (the "
                 f"draft assumes {GUESSED_PERIOD:g} s); speed and flux linkages depend on it."
             )
         left = self._choice.reading.unexplained
         if left > _POOR:
-            self._doubt(
+            self._unsure.append(
                 f"A rough machine model leaves {100 * left:.0f} % of the voltage unexplained by these signals: "
                 "currents, voltages or angle may be other columns, or phases be swapped."
             )
-        head = [
-            *_title(self._contents),
-            f"# A rough machine model explains all but {100 * left:.2g} % of the voltage with it.",
-        ]
-        head += [f"# NOT SURE: {sentence}" for sentence in self._unsure] or ["# Nothing is left open."]
-        return Draft("\n".join([*head, "", *body]) + "\n", tuple(self._unsure))
-
-    def _doubt(self, sentence: str) -> None:
-        self._unsure.append(sentence)
+        remark = f"A rough machine model explains all but {100 * left:.2g} % of the voltage with it."
+        return _draft(self._contents, remark, body, self._unsure)
 
     def _source(self, table: Table) -> list[str]:
         """Return the settings that give the place and time of a table's samples."""
@@ -160,7 +143,7 @@ class _DraftText:
         scale = 0.001 if "[ma]" in label or "(ma)" in label else 1.0
         if scale == 1.0 and float(np.abs(i.values).max()) > _LARGEST_CURRENT:
             scale = 0.001
-            self._doubt(
+            self._unsure.append(
                 f"The currents reach {np.abs(i.values).max():.3g}, so they are taken as mA: correct scale if not."
             )
         scale *= self._choice.reading.voltage_sign
@@ -174,11 +157,13 @@ class _DraftText:
         if u.group.frame == "abc" and len(names) == 3:
             names = tuple(u.group.names[k] for k in reading.voltage_order)
             if names != u.group.names:
-                self._doubt(
+                self._unsure.append(
                     f"The voltages explain the currents only in the order {', '.join(names)}: compare the wiring."
                 )
             if reading.voltage_sign < 0:
-                self._doubt("Currents and voltages have opposite signs: currents must be positive into the machine.")
+                self._unsure.append(
+                    "Currents and voltages have opposite signs: currents must be positive into the machine."
+                )
         lines = [f"  fields: {listed(names)}", *_frame(u)]
         low, high = float(u.values.min()), float(u.values.max())
         percent = low >= 0 and LARGEST_DUTY < high <= 101 and bool(words(u.label) & {"duty", "pwm", "dutycycle"})
@@ -186,7 +171,7 @@ class _DraftText:
             share = 0.01 if percent else 1.0 if low >= -0.02 else 0.5
             range_ = "0 to 100 %" if percent else "0 to 1" if low >= -0.02 else "-1 to 1"
             if share == 0.5:
-                self._doubt(
+                self._unsure.append(
                     "The duty cycles lie around zero and were taken to reach from -1 to 1: if they are voltages over "
                     "the DC-link voltage, -0.5 to 0.5, double the scale. The data cannot tell; R and flux follow it."
                 )
@@ -195,27 +180,31 @@ class _DraftText:
                 lines.append(
                     f"  scale: {share * 100:g}  # EDIT: duty cycles, so {share:g} times the DC-link voltage, V"
                 )
-                self._doubt(
+                self._unsure.append(
                     f"The voltages are duty cycles from {range_}, and no DC-link voltage is in the log: set scale of "
                     f"the voltages to {share:g} times that voltage (written for 100 V)."
                 )
             else:
                 table, name = dc
                 if not is_named_link(table, name):
-                    self._doubt(f"{name} was taken for the DC-link voltage by its values, not by its name.")
+                    self._unsure.append(f"{name} was taken for the DC-link voltage by its values, not by its name.")
                 source = [*self._source(table), f"field: {quoted(name)}"]
                 source += [] if share == 1.0 else [f"scale: {share:g}"]
                 lines.append(f"  scale: {{{', '.join(source)}}}   # duty cycles from {range_}")
         elif not suggests(u.label, "voltage"):
-            self._doubt(f"{', '.join(u.group.names)} were taken for the voltages by their values, not by their names.")
+            self._unsure.append(
+                f"{', '.join(u.group.names)} were taken for the voltages by their values, not by their names."
+            )
         if u.group.frame == "dq":
             lines.append(
                 "  angle_advance: 0.0  # EDIT if the drive transforms them back with an angle ahead: often 1.5"
             )
-            self._doubt("The voltages are d and q components: set angle_advance if the drive compensates its delay.")
+            self._unsure.append(
+                "The voltages are d and q components: set angle_advance if the drive compensates its delay."
+            )
         rate = u.table.period
         if rate and self._period and abs(rate / self._period - 1) > 2 * _SAME_RATE:
-            self._doubt("Voltages and currents are recorded at different rates, which a fit refuses.")
+            self._unsure.append("Voltages and currents are recorded at different rates, which a fit refuses.")
         return ["voltages:", *self._time(u.table, lines)]
 
     def _rotor(self) -> list[str]:
@@ -227,7 +216,7 @@ class _DraftText:
             if choice.modulus:
                 lines.append(f"  angle_modulus: {choice.modulus:g}")
             if choice.modulus or not angle.like.wraps:
-                self._doubt(
+                self._unsure.append(
                     "The encoder never starts again at a whole revolution: only the ratio of counts_per_turn and "
                     "pole_pairs follows from the log."
                 )
@@ -254,7 +243,6 @@ class _DraftText:
         return ["resolver:", *self._time(angle.table, lines)]
 
     def _offset(self) -> list[str]:
-        """Return the estimated offset of the angle."""
         choice, reading = self._choice, self._choice.reading
         if choice.currents.group.frame == choice.voltages.group.frame == "dq":
             return []
@@ -263,7 +251,7 @@ class _DraftText:
             offset -= float(np.copysign(np.pi, offset))
         offset = offset if abs(offset) > _NO_OFFSET else 0.0
         if not reading.certain_offset:
-            self._doubt(
+            self._unsure.append(
                 "The angle offset follows from the saliency only, so it may be wrong by a multiple of 90 degrees "
                 "(1.5708), which exchanges or reverses the axes: compare with the d axis of your drive."
             )
@@ -313,7 +301,7 @@ class _DraftText:
                 alike = float(np.sum(wanted * found) / np.sqrt(max(np.sum(wanted**2) * np.sum(found**2), 1e-300)))
                 if alike > 0.9 and 0.8 < gain < 1.25:
                     return ["", "reference:", *self._time(table, [f"  fields: {listed(group.names)}"])]
-        self._doubt(
+        self._unsure.append(
             "No columns are the references of i_d and i_q: a fit then takes i_max from the currents and corrects less "
             "for their noise."
         )

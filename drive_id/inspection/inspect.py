@@ -34,6 +34,7 @@ from drive_id.files.storage.bag import open_bag
 from drive_id.inspection.contents import Contents, Table, read_contents
 from drive_id.inspection.draft import Draft, propose
 from drive_id.messages import Message
+from drive_id.quantity import plain
 from drive_id.types import Progress, silent
 
 _MUCH_JITTER = 0.1  # of the period, from which on the jitter of stamps is told
@@ -65,15 +66,17 @@ class Inspection:
 
     def tree(self) -> dict[str, Any]:
         """Return everything but the curves as plain values for JSON."""
-        return {
+        tree = {
             "path": str(self.contents.path),
             "kind": self.contents.kind,
             "topics": [_table_tree(table) for table in self.contents.tables],
-            "overview": self.overview and {name: _plain(x) for name, x in self.overview.figures().items()},
+            "overview": self.overview and self.overview.figures(),
             "findings": [finding_tree(finding) for finding in self.findings],
             "warnings": list(self.warnings),
             "draft": self.draft and {"text": self.draft.text, "unsure": list(self.draft.unsure)},
         }
+        found: dict[str, Any] = plain(tree)
+        return found
 
 
 def check(
@@ -81,6 +84,7 @@ def check(
     *,
     signals: str | os.PathLike[str] | SignalMap | None = None,
     namespace: str = "",
+    draft: bool = False,
     tell: Progress = silent,
 ) -> Inspection:
     """Look at a log before a fit, as ``drive-id check`` does.
@@ -93,6 +97,8 @@ def check(
         Signals file. Default: our own messages, or else a proposal, the ``draft`` of what is returned.
     namespace : str
         Of the drive, when a bag holds several.
+    draft : bool
+        Propose a signals file even where one is given or the log holds our own messages.
     tell : callable, optional
         Called with what is being done and its progress, 0 to 1.
 
@@ -101,17 +107,8 @@ def check(
     DriveIdError
         When it cannot be read.
     """
-    known = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
-    return inspect_log(Path(log), known, namespace=namespace, tell=tell)
-
-
-def inspect_log(
-    path: Path, signals: SignalMap | None = None, *, namespace: str = "", draft: bool = False, tell: Progress = silent
-) -> Inspection:
-    """Inspect a log as :func:`check` does; with ``draft``, propose a signals file even for our own messages.
-
-    Raises BagError when it cannot be read.
-    """
+    path = Path(log)
+    signals = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
     tell("Reading", 0.0)
     contents = read_contents(path, signals)
     findings: list[Message] = []
@@ -216,13 +213,12 @@ def _stamped(table: Table, signals: SignalMap) -> Table:
 
 def finding_tree(finding: Message) -> dict[str, Any]:
     """Return a finding as plain values: its first number is its value."""
-    values = {name: x if isinstance(x, str) else _plain(x) for name, x in finding.values.items()}
-    numbers = (value for value in values.values() if not isinstance(value, str))
+    numbers = (value for value in finding.values.values() if not isinstance(value, str))
     return {
         "code": finding.code,
         "message": finding,
         "value": next(numbers, None),
-        "values": values,
+        "values": finding.values,
         "severity": finding.kind,
     }
 
@@ -233,23 +229,15 @@ def _table_tree(table: Table) -> dict[str, Any]:
     for name, x in table.columns.items():
         known = x[np.isfinite(x)]
         low, high = (float(known.min()), float(known.max())) if len(known) else (math.nan, math.nan)
-        fields.append({"name": name, "type": table.types.get(name, ""), "min": _plain(low), "max": _plain(high)})
+        fields.append({"name": name, "type": table.types.get(name, ""), "min": low, "max": high})
     return {
         "name": table.name,
         "type": table.kind,
         "count": table.rows,
-        "rate": period and _plain(1 / period),
-        "message_rate": period and _plain(1 / (period * table.block)),
-        "jitter": None if table.jitter is None else _plain(table.jitter),
+        "rate": period and 1 / period,
+        "message_rate": period and 1 / (period * table.block),
+        "jitter": table.jitter,
         "samples_per_message": table.block,
         "fields": fields,
         "problem": table.problem,
     }
-
-
-def _plain(value: float) -> float | None:
-    """Return a number for JSON, None if it is not finite."""
-    value = float(value)
-    if not math.isfinite(value):
-        return None
-    return int(value) if value.is_integer() and abs(value) < 1e15 else value

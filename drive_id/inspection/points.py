@@ -6,10 +6,9 @@ table is, and two hints of values; what names exclude outweighs all that speaks 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -28,8 +27,6 @@ _LEAST_LINK = 5.0
 """Mean, V, from which a nearly constant column may be the DC-link voltage; lower ones are supplies of electronics."""
 _STEADY = 0.25
 """Standard deviation of a DC-link voltage by its mean."""
-
-Candidate = TypeVar("Candidate")
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,62 +53,39 @@ class AngleColumn:
     values: FloatArray
 
 
-@dataclass(frozen=True)
-class _Rule(Generic[Candidate]):
-    """Points by the answer to a question, a number or a yes."""
-
-    points: float
-    answer: Callable[[Candidate], float]
-
-
-def _named(meaning: str) -> Callable[[PhaseGroup], float]:
-    return lambda found: _hints(found.group.stem, found.table.name, meaning)
-
-
 def _hints(column: str, table: str, meaning: str) -> float:
     return _BY_COLUMN * suggests(column, meaning) + _BY_TABLE * suggests(table, meaning)
 
 
-def _sums_to_zero(found: PhaseGroup) -> bool:
+def current_points(found: PhaseGroup) -> float:
+    """Return what speaks for currents."""
+    hints = partial(_hints, found.group.stem, found.table.name)
+    points = hints("current") - hints("voltage") - 2.0 * hints("reference")  # named for currents, too
+    points -= 4.0 * (found.group.frame == "line_to_line")  # only voltages are measured so
     common = float(np.abs(found.values.sum(axis=1)).mean() / np.abs(found.values).mean())
-    return len(found.values.T) == 3 and common < _UNBALANCED
+    points += len(found.values.T) == 3 and common < _UNBALANCED
+    return points + (found.group.frame == "abc")  # measured; d and q are often references or filtered
 
 
-CURRENT: tuple[_Rule[PhaseGroup], ...] = (
-    _Rule(1.0, _named("current")),
-    _Rule(-1.0, _named("voltage")),
-    _Rule(-2.0, _named("reference")),  # named for currents, too
-    _Rule(-4.0, lambda found: found.group.frame == "line_to_line"),  # only voltages are measured so
-    _Rule(1.0, _sums_to_zero),
-    _Rule(1.0, lambda found: found.group.frame == "abc"),  # measured; d and q are often references or filtered
-)
-VOLTAGE: tuple[_Rule[PhaseGroup], ...] = (
-    _Rule(1.0, _named("voltage")),
-    _Rule(-1.0, _named("current")),
-    _Rule(0.5, lambda found: found.group.frame == "abc"),  # among equals: needs no angle
-    _Rule(0.1, lambda found: len(found.values.T)),  # among equals: three rather than two of them
-)
-ANGLE: tuple[_Rule[AngleColumn], ...] = (
-    _Rule(1.0, lambda found: _hints(found.name, found.table.name, "angle")),
-    _Rule(1.0, lambda found: found.like.certain),
-    _Rule(1.0, lambda found: found.like.wraps),
-)
+def voltage_points(found: PhaseGroup) -> float:
+    """Return what speaks for voltages."""
+    hints = partial(_hints, found.group.stem, found.table.name)
+    points = hints("voltage") - hints("current")
+    points += 0.5 * (found.group.frame == "abc")  # among equals: needs no angle
+    return points + 0.1 * len(found.values.T)  # among equals: three rather than two of them
+
+
+def angle_points(found: AngleColumn) -> float:
+    """Return what speaks for the angle."""
+    return _hints(found.name, found.table.name, "angle") + found.like.certain + found.like.wraps
+
+
 _LINK_NAMED = 2.0
 """Points for each hint of the name: no other meaning is confused with it."""
 _LINK_VOLTAGE = 1.0
 """Points for the name of a voltage."""
 _LINK_ALONE = 0.5
 """Points for the values alone: a steady positive number of some size."""
-
-
-def _points(rules: Sequence[_Rule[Candidate]], found: Candidate) -> float:
-    """Return what speaks for a candidate."""
-    return sum(rule.points * rule.answer(found) for rule in rules)
-
-
-current_points = partial(_points, CURRENT)
-voltage_points = partial(_points, VOLTAGE)
-angle_points = partial(_points, ANGLE)
 
 
 def dc_link(tables: Sequence[Table]) -> tuple[Table, str] | None:

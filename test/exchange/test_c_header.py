@@ -12,7 +12,7 @@ import pytest
 from exchange_machine import result
 from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
 
-from drive_id.exchange.exports.exporting import TableChoice, content_of
+from drive_id.exchange.exports.exporting import content_of
 from drive_id.exchange.exports.options import ExportOptions
 
 CC = shutil.which("cc")
@@ -64,7 +64,7 @@ def read(program, points):
 
 
 def table(drive, *, filled=False):
-    choice = TableChoice(AXIS_D, AXIS_Q, filled)
+    choice = ExportOptions(AXIS_D, AXIS_Q, filled)
     header, _ = content_of(drive, "c-header", choice)
     grid = np.meshgrid(AXIS_D, AXIS_Q, indexing="ij")
     return header, np.stack(drive.flux_map.psi_dq(*grid))
@@ -134,8 +134,8 @@ def test_control(tmp_path):
     """Gains, feed-forward, drop and temperatures against formulas on the map itself."""
     drive = result(drop=lambda i: 2.5 * np.tanh(i / 0.8), magnet_coefficient=(-1e-4, 1e-5))
     period, at = 1e-4, np.array([[-14.0, 6.0], [3.0, -9.0], [8.0, 12.0]])
-    wanted = ExportOptions(bandwidth=9000.0, sample_period=period, phase_margin=50.0)
-    header, _ = content_of(drive, "c-header", TableChoice(AXIS_D, AXIS_Q), wanted)
+    wanted = ExportOptions(AXIS_D, AXIS_Q, bandwidth=9000.0, sample_period=period, phase_margin=50.0)
+    header, _ = content_of(drive, "c-header", wanted)
     found = read(compiled(tmp_path, header, "-DDRIVE_ID_DOUBLE", main=CONTROL), at)
     rate = (np.pi / 2 - np.radians(50.0)) / (1.5 * period)
     assert rate < wanted.bandwidth
@@ -179,7 +179,7 @@ def test_gains_without_data_are_finite_and_without_a_resistance_they_need_none(t
 @pytest.mark.parametrize("main", [MAIN, CONTROL], ids=["maps", "control"])
 def test_the_whole_disc_under_sanitizers_as_cpp(tmp_path, main):
     """As C++17, with undefined behaviour and memory checked, over and beyond the disc."""
-    header, _ = content_of(result(drop=lambda i: 2.5 * np.tanh(i / 0.8)), "c-header", TableChoice(AXIS_D, AXIS_Q))
+    header, _ = content_of(result(drop=lambda i: 2.5 * np.tanh(i / 0.8)), "c-header", ExportOptions(AXIS_D, AXIS_Q))
     (tmp_path / "map.h").write_bytes(header)
     (tmp_path / "main.cpp").write_text(main)
     flags = ["-std=c++17", "-DDRIVE_ID_DOUBLE", "-Wall", "-Wextra", "-Werror", "-pedantic"]

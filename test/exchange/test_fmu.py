@@ -18,7 +18,8 @@ from fmpy.validation import validate_fmu
 
 import drive_id
 from drive_id.core import frames
-from drive_id.exchange.exports.exporting import TableChoice, content_of, export_map
+from drive_id.exchange.exports.exporting import content_of, export_map
+from drive_id.exchange.exports.options import ExportOptions
 from drive_id.fitting.simulated import load_machine
 
 pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler 'cc'")
@@ -41,7 +42,7 @@ def test_currents_of_a_transient(name, inverter, accuracy, tmp_path):
     found, samples = transient(inverter)
     axis = np.linspace(-1.25 * found.i_max, 1.25 * found.i_max, 41)
     path = tmp_path / "drive.fmu"
-    export_map(found, name, path, TableChoice(axis, axis, filled=True))
+    export_map(found, name, path, ExportOptions(axis, axis, filled=True))
     references = {v.name: v.valueReference for v in fmpy.read_model_description(str(path)).modelVariables}
     inputs = [references[v] for v in ("u_a", "u_b", "u_c", "speed")]
     states = [references[v] for v in ("i_d", "i_q", "angle")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from scipy.io import savemat
 import drive_id
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import Conventions
-from drive_id.exchange.imports.importing import ImportOptions, import_map
+from drive_id.exchange.imports.importing import import_map
 from drive_id.exchange.imports.source import Source
 from drive_id.files.results.identification import write_results
 
@@ -106,18 +107,17 @@ def test_syre(tmp_path, axis):
     flat = import_map(Source(tmp_path / "fdfq_idiq_n256.mat", scalars={"pole_pairs": 3}))
     np.testing.assert_allclose(flat.flux_map.psi_d, found.flux_map.psi_d, atol=1e-15)
     for file in ("motor.mat", "fdfq_idiq_n256.mat"):
-        said = ImportOptions(axis=axis.lower())
-        assert_map(import_map(Source(tmp_path / file), said))
-        other = ImportOptions(axis="sr" if axis == "PM" else "pm")
+        assert_map(import_map(Source(tmp_path / file, axis=axis.lower())))
+        other = Source(tmp_path / file, axis="sr" if axis == "PM" else "pm")
         with pytest.raises(ConfigurationError, match=f"contradicts .* type {axis.lower()}"):
-            import_map(Source(tmp_path / file), other)
+            import_map(other)
 
 
 def test_a_syre_flux_file_that_does_not_tell_its_axes(tmp_path):
     savemat(tmp_path / "fdfq.mat", syre_model("SR"))
     with pytest.raises(ConfigurationError, match="'--axis sr'"):
         import_map(Source(tmp_path / "fdfq.mat"))
-    assert_map(import_map(Source(tmp_path / "fdfq.mat"), ImportOptions(axis="sr")))
+    assert_map(import_map(Source(tmp_path / "fdfq.mat", axis="sr")))
 
 
 def motor_cad(i_d, i_q):
@@ -219,7 +219,7 @@ def test_matrices(tmp_path):
     assert_map(found)
     assert found.pole_pairs == 3
     with pytest.raises(ConfigurationError, match="'--order dq'"):
-        import_map(source, ImportOptions(conventions=Conventions(order="qd")))
+        import_map(replace(source, conventions=Conventions(order="qd")))
 
 
 def test_angles_in_a_column_mechanical(tmp_path):
@@ -307,7 +307,7 @@ def test_other_bad_input(tmp_path):
     with pytest.raises(ConfigurationError, match=r"holds x.*\.csv"):
         import_map(Source(tmp_path / "other.mat"))
     with pytest.raises(ConfigurationError, match="no import format 'xls': choose npz, syre"):
-        import_map(Source(tmp_path / "other.mat"), ImportOptions("xls"))
+        import_map(Source(tmp_path / "other.mat", "xls"))
     np.savez(tmp_path / "few.npz", i_d=I_D, psi_d=I_D)
     with pytest.raises(ConfigurationError, match="has no 'i_q'"):
         import_map(Source(tmp_path / "few.npz"))

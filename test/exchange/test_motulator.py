@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from exchange_machine import AT, I_D, I_Q, PAIRS, RESISTANCE, U_DC, flux, result
 
-from drive_id.exchange.exports.exporting import TableChoice, content_of
+from drive_id.exchange.exports.exporting import content_of
+from drive_id.exchange.exports.options import ExportOptions
 
 utils = pytest.importorskip(
     "motulator.drive.utils", reason="motulator is not installed: its releases since 0.6 need Python 3.12"
@@ -16,7 +17,7 @@ utils = pytest.importorskip(
 if not hasattr(utils, "MagneticModel"):
     pytest.skip("this motulator is older than its magnetic models (0.6)", allow_module_level=True)
 
-OWN_GRID = TableChoice(I_D, I_Q)
+OWN_GRID = ExportOptions(I_D, I_Q)
 
 
 def exported(name, choice=OWN_GRID):

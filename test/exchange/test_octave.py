@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from exchange_machine import AT, PAIRS, flux, result, torque
 
-from drive_id.exchange.exports.exporting import TableChoice, content_of
+from drive_id.exchange.exports.exporting import content_of
+from drive_id.exchange.exports.options import ExportOptions
 
 OCTAVE = shutil.which("octave-cli")
 pytestmark = pytest.mark.skipif(OCTAVE is None, reason="GNU Octave is not installed: there is no octave-cli")
-AXES = TableChoice(np.arange(-15.0, 15.1, 2.5), np.arange(-15.0, 15.1, 1.5))
+AXES = ExportOptions(np.arange(-15.0, 15.1, 2.5), np.arange(-15.0, 15.1, 1.5))
 NAMES = (
     "syre",
     "syre-model",

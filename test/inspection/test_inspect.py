@@ -23,7 +23,7 @@ from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.simulated import run_experiment
-from drive_id.inspection.inspect import inspect_log
+from drive_id.inspection.inspect import check
 from drive_id.inspection.names import name_groups, suggests
 from drive_id.types import Samples
 
@@ -166,7 +166,7 @@ def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples, long):
     if write_bag.i_dq_reference is not None:
         table |= {"d": write_bag.i_dq_reference[:, 0], "q": write_bag.i_dq_reference[:, 1]}
         text += "reference: {fields: [d, q]}\n"
-    found = inspect_log(write_parquet(write_path, table), parse_signals(text, "test"))
+    found = check(write_parquet(write_path, table), signals=parse_signals(text, "test"))
     assert code in [finding.code for finding in found.findings], found.findings
     told = json.loads(json.dumps(found.tree(), allow_nan=False))["findings"]
     entry = next(entry for entry in told if entry["code"] == code)
@@ -190,14 +190,14 @@ currents: {fields: [ia, ib, ic]}
 voltages: {fields: [ua, ub, uc]}
 resolver: {angle: theta, speed: omega}
 """
-    found = inspect_log(path, parse_signals(text, "test"))
+    found = check(path, signals=parse_signals(text, "test"))
     assert found.findings[0].code == "sample_period"
     assert "as if one were in ms" in found.findings[0]
     assert found.overview is None
 
 
 def test_our_own_recording_has_no_finding(bag, simulation):
-    found = inspect_log(bag)
+    found = check(bag)
     assert [finding.code for finding in found.findings] == []
     view = found.overview
     assert view.samples == len(simulation.samples)
@@ -213,7 +213,7 @@ def test_our_own_recording_has_no_finding(bag, simulation):
 def test_our_messages_on_other_topics_get_a_draft(tmp_path, samples):
     write_recording(tmp_path / "ours", samples)
     renamed(tmp_path / "ours", tmp_path / "bag", phase_currents="sensors/i", phase_voltages="u", resolver="rotor")
-    found = inspect_log(tmp_path / "bag")
+    found = check(tmp_path / "bag")
     read = read_recording(tmp_path / "bag", parse_signals(found.draft.text, "draft")).samples
     np.testing.assert_array_equal(read.i_abc, samples.i_abc.astype(np.float32))
     assert read.i_dq_reference is not None
@@ -276,7 +276,7 @@ KINDS = {
 @pytest.mark.parametrize("kind", KINDS)
 def test_drafts_read_what_was_recorded(kind, tmp_path, samples):
     path = write_parquet(tmp_path / "log.parquet", columns(samples, **KINDS[kind](samples)))
-    found = inspect_log(path)
+    found = check(path)
     assert not [finding for finding in found.findings if finding.kind == "error"]
     zero_sequence = np.abs(samples.i_abc.sum(axis=1)).max()
     read = assert_reads(path, found.draft, samples, noise=zero_sequence if kind == "two currents" else 1e-3)
@@ -288,14 +288,14 @@ def test_duty_cycles_with_and_without_a_dc_link(tmp_path, samples):
     duty = {f"duty_{phase}": samples.u_abc[:, k] / u_dc + 0.5 for k, phase in enumerate("UVW")}
     none = dict.fromkeys(("ua", "ub", "uc"))
     path = write_csv(tmp_path / "log.csv", columns(samples, **none, **duty, V_bus=u_dc))
-    draft = inspect_log(path).draft
+    draft = check(path).draft
     assert "duty cycles from 0 to 1" in draft.text
     assert_reads(path, draft, samples)
     around = {name: values - 0.5 for name, values in duty.items()}
     path = write_csv(tmp_path / "around.csv", columns(samples, **none, **around, V_bus=u_dc))
-    assert "NOT SURE: The duty cycles lie around zero" in inspect_log(path).draft.text
+    assert "NOT SURE: The duty cycles lie around zero" in check(path).draft.text
     path = write_csv(tmp_path / "without.csv", columns(samples, **none, **duty))
-    draft = inspect_log(path).draft
+    draft = check(path).draft
     assert "# EDIT: duty cycles" in draft.text
     assert any("no DC-link voltage is in the log" in sentence for sentence in draft.unsure)
     edited = draft.text.replace("scale: 100 ", "scale: 400 ")
@@ -326,7 +326,7 @@ def test_a_foreign_bag_of_several_topics_with_jitter(tmp_path, samples):
     }
     moved = {name: x + rng.integers(-10_000, 10_000, len(x)) for name, x in stamps.items()}
     path = write_rows(tmp_path / "bag", topics, moved)
-    found = inspect_log(path)
+    found = check(path)
     jittering = [finding for finding in found.findings if finding.code == "stamp_jitter"]
     assert not [finding for finding in jittering if "/inverter" in finding]  # taken as equally spaced
     assert {"equally_spaced: true", "interpolate: true"} <= {
@@ -353,9 +353,9 @@ currents: {fields: [ia, ib, ic]}
 voltages: {fields: [ua, ub, uc]}
 resolver: {angle: theta}
 """
-    jittering = inspect_log(path, parse_signals(text.replace("SPACED", "false"), "test"))
+    jittering = check(path, signals=parse_signals(text.replace("SPACED", "false"), "test"))
     assert "stamp_jitter" in [finding.code for finding in jittering.findings]
-    spaced = inspect_log(path, parse_signals(text.replace("SPACED", "true"), "test"))
+    spaced = check(path, signals=parse_signals(text.replace("SPACED", "true"), "test"))
     assert spaced.overview.runs == 1
     assert spaced.overview.samples == len(samples)
     assert not {"stamp_jitter", "gaps"} & {finding.code for finding in spaced.findings}
@@ -364,7 +364,7 @@ resolver: {angle: theta}
 def test_nothing_that_looks_like_signals(tmp_path, samples):
     t = samples.stamp * 1e-9
     path = write_csv(tmp_path / "log.csv", {"time_s": t, "x": np.sin(t), "y": np.ones(len(t))})
-    found = inspect_log(path)
+    found = check(path)
     assert [finding.code for finding in found.findings] == ["no_draft"]
     assert found.draft is None
 
@@ -374,27 +374,27 @@ def test_slow_logs_in_d_and_q_are_for_method_static(rows, tmp_path):
     k = np.arange(rows)
     waves = {name: np.sin(0.1 * n * k) for n, name in enumerate(("i_d", "i_q", "u_d", "u_q"), 1)}
     path = write_csv(tmp_path / "slow.csv", {"t": 0.1 * k, **waves, "n": np.where(k % 50 < 25, 500.0, -500.0)})
-    found = inspect_log(path)
+    found = check(path)
     assert "fit it with --method static" in found.draft.text
     assert parse_signals(found.draft.text, "draft").currents.fields == ("i_d", "i_q")
     (finding,) = [finding for finding in found.findings if finding.kind == "error"]
     assert "The drive never rests for 3 samples" in finding
-    (again,) = inspect_log(path, parse_signals(found.draft.text, "test")).findings
+    (again,) = check(path, signals=parse_signals(found.draft.text, "test")).findings
     assert again == finding
 
 
 def test_channel_groups_are_named(tmp_path, samples):
     path = write_mdf(tmp_path / "log.mf4", columns(samples))
-    found = inspect_log(path)
+    found = check(path)
     assert_reads(path, found.draft, samples)
     assert found.contents.tables[0].stamp_source == "own"
 
 
 def test_recording_of_strangers_written_again_as_ours(tmp_path, samples):
     path = write_parquet(tmp_path / "log.parquet", columns(samples))
-    recording = read_recording(path, parse_signals(inspect_log(path).draft.text, "draft"))
+    recording = read_recording(path, parse_signals(check(path).draft.text, "draft"))
     write_recording(tmp_path / "bag", recording.samples)
-    assert [finding.code for finding in inspect_log(tmp_path / "bag").findings] == []
+    assert [finding.code for finding in check(tmp_path / "bag").findings] == []
 
 
 # -- parts ---------------------------------------------------------------------------------------------------------
@@ -473,7 +473,7 @@ def test_drafts_for_text_as_instruments_write_it(name, tmp_path, samples):
     }[name]
     path = tmp_path / "log.csv"
     path.write_bytes(text.encode(encoding))
-    read = read_recording(path, parse_signals(inspect_log(path).draft.text, "draft")).samples
+    read = read_recording(path, parse_signals(check(path).draft.text, "draft")).samples
     assert read.sample_period == pytest.approx(1e-4)
     np.testing.assert_array_equal(read.i_abc, samples.i_abc[:6000])
     np.testing.assert_array_equal(read.u_abc, samples.u_abc[:6000])
@@ -508,7 +508,7 @@ def test_drafts_for_structs_of_measurement_tools(name, tmp_path, samples):
     }[name]
     path = tmp_path / "log.mat"
     savemat(path, content)
-    read = read_recording(path, parse_signals(inspect_log(path).draft.text, "draft")).samples
+    read = read_recording(path, parse_signals(check(path).draft.text, "draft")).samples
     assert read.sample_period == pytest.approx(1e-4)
     np.testing.assert_array_equal(read.i_abc, samples.i_abc[:6000])
     np.testing.assert_array_equal(read.u_abc, samples.u_abc[:6000])
@@ -520,7 +520,7 @@ def test_drafts_for_line_to_line_voltages_milliamperes_and_no_time(tmp_path, sam
     table |= {"u_AB": u_a - u_b, "u_BC": u_b - u_c, "u_CA": u_c - u_a}
     table |= {name: 1e3 * table[name] for name in ("ia", "ib", "ic")}
     path = write_parquet(tmp_path / "log.parquet", table)
-    draft = inspect_log(path).draft
+    draft = check(path).draft
     assert sum("no time column" in text or "taken as mA" in text for text in draft.unsure) == 2
     read = read_recording(path, parse_signals(draft.text, "draft")).samples
     np.testing.assert_allclose(read.i_abc, samples.i_abc, rtol=1e-12)
@@ -530,7 +530,7 @@ def test_drafts_for_line_to_line_voltages_milliamperes_and_no_time(tmp_path, sam
 def test_single_missing_values_are_named_and_do_not_prevent_a_draft(tmp_path, samples):
     table = columns(samples)
     table["ia"] = np.where(np.arange(len(samples)) % 4000 == 7, np.nan, table["ia"])
-    found = inspect_log(write_parquet(tmp_path / "log.parquet", table))
+    found = check(write_parquet(tmp_path / "log.parquet", table))
     assert "fields: [ia, ib, ic]" in found.draft.text
     assert "equally_spaced" not in found.draft.text
     assert "non_finite" in [finding.code for finding in found.findings]
@@ -540,6 +540,6 @@ def test_single_missing_values_are_named_and_do_not_prevent_a_draft(tmp_path, sa
 def test_absurd_numbers_count_as_missing_values(tmp_path, samples):
     table = columns(samples)
     table["ia"] = np.where(np.arange(len(samples)) == 4007, 1e300, table["ia"])
-    assert "fields: [ia, ib, ic]" in inspect_log(write_parquet(tmp_path / "few.parquet", table)).draft.text
+    assert "fields: [ia, ib, ic]" in check(write_parquet(tmp_path / "few.parquet", table)).draft.text
     table["ia"] = np.where(np.arange(len(samples)) % 2, -1e300, table["ia"])
-    assert "fields: [ia, ib, ic]" not in str(inspect_log(write_parquet(tmp_path / "many.parquet", table)).draft)
+    assert "fields: [ia, ib, ic]" not in str(check(write_parquet(tmp_path / "many.parquet", table)).draft)

@@ -20,21 +20,11 @@ _WEAKENING = 4.0  # highest speed, in corner speeds
 
 @dataclass(frozen=True, eq=False)
 class ControlTable:
-    """References of minimum current within the limits.
+    """References of minimum current within the limits; for a torque that cannot be reached, those of the nearest."""
 
-    Parameters
-    ----------
-    speed : (S,) float
-        Mechanical, rad/s, from 0.
-    torque : (T,) float
-        Nm, from the most negative to the largest.
-    i_d, i_q : (S, T) float
-        A; where a torque cannot be reached, those of the nearest that can.
-    """
-
-    speed: FloatArray
-    torque: FloatArray
-    i_d: FloatArray
+    speed: FloatArray  # (S,), mechanical, rad/s, from 0
+    torque: FloatArray  # (T,), Nm, from the most negative to the largest
+    i_d: FloatArray  # (S, T), A
     i_q: FloatArray
 
 

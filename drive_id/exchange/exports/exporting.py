@@ -10,7 +10,7 @@ import numpy as np
 from drive_id.errors import CoverageError, OutputError
 from drive_id.exchange.exports.formats import ExportFormat, export_format
 from drive_id.exchange.exports.options import ExportOptions
-from drive_id.exchange.exports.table import MapTable, TableChoice
+from drive_id.exchange.exports.table import MapTable
 from drive_id.exchange.exports.writers import matlab
 from drive_id.files.results.folder import check_absent, replace_file
 from drive_id.result.result import Result
@@ -20,25 +20,13 @@ _COARSE = 0.01  # error of bilinear interpolation, by the largest flux, above wh
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written.
+    """What was written."""
 
-    Parameters
-    ----------
-    points, missing : int
-        Of the table, and how many of them have no data; 0 for formats without tables.
-    filled : bool
-        Whether points without data hold a continuation.
-    gaps : str
-        What has become of points without data otherwise.
-    remarks : tuple of str
-        Further sentences on what the file holds.
-    """
-
-    points: int
-    missing: int
-    filled: bool
-    gaps: str = ""
-    remarks: tuple[str, ...] = ()
+    points: int  # of the table; 0 for formats without tables
+    missing: int  # points without data
+    filled: bool  # they hold a continuation
+    gaps: str = ""  # what has become of them otherwise
+    remarks: tuple[str, ...] = ()  # further sentences on what the file holds
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -51,30 +39,23 @@ class Exported:
         return (f"{self.missing} of {self.points} points of the table have no data: {told}", *self.remarks)
 
 
-def content_of(
-    result: Result, name: str, choice: TableChoice | None = None, options: ExportOptions | None = None
-) -> tuple[bytes, Exported]:
+def content_of(result: Result, name: str, options: ExportOptions | None = None) -> tuple[bytes, Exported]:
     """Return the content of a file in a format, and a description of it.
 
-    Raises
-    ------
-    ConfigurationError
-        When the format is unknown, or cannot hold this result.
-    CoverageError
-        When no point of the table has data.
+    Raises ConfigurationError when the format is unknown, or cannot hold this result, and CoverageError when no point of
+    the table has data.
     """
-    chosen, wanted = export_format(name), choice or TableChoice()
+    chosen, wanted = export_format(name), options or ExportOptions()
     table = MapTable.of(result, wanted)
     if not chosen.grid and not table.machine.inside(0.0, 0.0):
         raise CoverageError(f"The map has no data at zero current, from which --format {name} takes its numbers.")
-    content = chosen.write(table, options or ExportOptions())
+    content = chosen.write(table, wanted)
     if not chosen.grid:
         return content, Exported(0, 0, filled=False, remarks=(table.gain_source,))
     return content, Exported(table.inside.size, table.missing, wanted.filled, chosen.gaps, _remarks(table, chosen))
 
 
 def _remarks(table: MapTable, chosen: ExportFormat) -> tuple[str, ...]:
-    """Return what the user of a table should know."""
     out = []
     if table.interpolation_error > _COARSE * float(np.nanmax(np.hypot(*table.psi))):
         out.append(f"The table is coarse: choose a larger --grid, or read it with splines. {table.source}")
@@ -97,7 +78,6 @@ def export_map(
     result: Result | str | Path,
     name: str,
     path: str | Path,
-    choice: TableChoice | None = None,
     options: ExportOptions | None = None,
     *,
     force: bool = False,
@@ -112,7 +92,6 @@ def export_map(
         Of the format, see :data:`~.formats.EXPORTS`.
     path : path
         File to write.
-    choice : TableChoice, optional
     options : ExportOptions, optional
     force : bool
         Replace an existing file.
@@ -132,6 +111,6 @@ def export_map(
         raise OutputError(f"{path} {said}, but --format {name} writes {usual} files: name it {path.stem}{usual}.")
     if not force:
         check_absent(path)
-    content, exported = content_of(result, name, choice, options)
+    content, exported = content_of(result, name, options)
     replace_file(path, content)
     return exported

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import entry_points
 
 from drive_id.errors import ConfigurationError
@@ -17,26 +18,13 @@ Writer = Callable[[MapTable, ExportOptions], bytes]
 
 @dataclass(frozen=True)
 class ExportFormat:
-    """A format of exported files.
+    """A format of exported files."""
 
-    Parameters
-    ----------
-    title : str
-        The tool that reads it.
-    suffix : str
-        Usual end of the file's name.
-    write : Writer
-    grid : bool
-        Whether it holds tables over the current plane; False for a few numbers.
-    gaps : str
-        What becomes of points without data.
-    """
-
-    title: str
-    suffix: str
+    title: str  # the tool that reads it
+    suffix: str  # usual end of the file's name
     write: Writer
-    grid: bool = True
-    gaps: str = "they are marked as NaN"
+    grid: bool = True  # it holds tables over the current plane, not a few numbers
+    gaps: str = "they are marked as NaN"  # what becomes of points without data
 
 
 EXPORTS: Mapping[str, ExportFormat] = {
@@ -57,8 +45,10 @@ EXPORTS: Mapping[str, ExportFormat] = {
         "Powertrain Blockset flux-based PM controller", ".mat", matlab.write_powertrain_controller
     ),
     "c-header": ExportFormat("C99 header with its reader", ".h", c_header.write),
-    "fmu": ExportFormat("FMU of FMI 3.0 with its C sources", ".fmu", fmu.write_3, gaps="they hold a continuation"),
-    "fmu-2": ExportFormat("FMU of FMI 2.0 with its C sources", ".fmu", fmu.write_2, gaps="they hold a continuation"),
+    "fmu": ExportFormat("FMU of FMI 3.0 with its C sources", ".fmu", fmu.write, gaps="they hold a continuation"),
+    "fmu-2": ExportFormat(
+        "FMU of FMI 2.0 with its C sources", ".fmu", partial(fmu.write, version=2), gaps="they hold a continuation"
+    ),
     "plecs": ExportFormat("PLECS non-excited synchronous machine", ".mat", matlab.write_plecs),
     "modelica": ExportFormat("Modelica CombiTable2D", ".txt", text.write_modelica),
     "vesc": ExportFormat("VESC motor configuration", ".xml", controllers.write_vesc, grid=False),
@@ -66,40 +56,16 @@ EXPORTS: Mapping[str, ExportFormat] = {
 }
 
 
-ALIASES: Mapping[str, str] = {
-    "c": "c-header",
-    "c99": "c-header",
-    "fmi2": "fmu-2",
-    "fmi3": "fmu",
-    "fmu-3": "fmu",
-    "header": "c-header",
-    "mcb": "motor-control",
-    "motor-control-blockset": "motor-control",
-    "npz": "machine",
-    "powertrain-blockset": "powertrain",
-    "simscape-3d": "simscape",
-    "simscape-fem": "simscape",
-    "syr-e": "syre",
-    "syre-motormodel": "syre-model",
-    "xarray": "netcdf",
-}
-"""Other names under which a format is found; upper case and underscores do not matter."""
-
-
 GROUP = "drive_id.exporters"
 """Entry points of other packages by which they add formats: each names an :class:`ExportFormat`."""
 
 
 def export_format(name: str) -> ExportFormat:
-    """Return a format.
+    """Return a format; upper case and underscores in its name do not matter.
 
-    Raises
-    ------
-    ConfigurationError
-        When there is none of this name, and the message lists all; or when that of another package is none.
+    Raises ConfigurationError when there is none of this name, or that of another package is none.
     """
-    plain = name.lower().replace("_", "-").replace(" ", "-")
-    known = ALIASES.get(plain, plain)
+    known = name.lower().replace("_", "-").replace(" ", "-")
     if known in EXPORTS:
         return EXPORTS[known]
     others = {entry.name: entry for entry in entry_points(group=GROUP)}

@@ -1,45 +1,29 @@
-"""Options that only some formats need."""
+"""Options of an export."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from drive_id.errors import ConfigurationError
+from drive_id.settings import Checked, setting
+from drive_id.types import FloatArray
 
 
-@dataclass(frozen=True)
-class ExportOptions:
-    """Options of single formats.
+@dataclass(frozen=True, eq=False)
+class ExportOptions(Checked):
+    """Which table to write, and what single formats need besides."""
 
-    Parameters
-    ----------
-    leakage_inductance : float
-        L_sigma of the stator, H, which PLECS wants apart from the flux linkages of the air gap.
-    bandwidth : float
-        Of the current controllers for VESC, ODrive and C, rad/s.
-    sample_period : float, optional
-        Of the current controllers, s, for C: the delay then limits the bandwidth.
-    phase_margin : float
-        Least margin with that delay, degrees.
-
-    Raises
-    ------
-    ConfigurationError
-        When a value is negative or not finite.
-    """
-
-    leakage_inductance: float = 0.0
-    bandwidth: float = 1000.0
-    sample_period: float | None = None
-    phase_margin: float = 60.0
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.leakage_inductance) and self.leakage_inductance >= 0):
-            raise ConfigurationError(f"--leakage is {self.leakage_inductance} H: it must not be negative.")
-        if not (math.isfinite(self.bandwidth) and self.bandwidth > 0):
-            raise ConfigurationError(f"--bandwidth is {self.bandwidth} rad/s: it must be positive.")
-        if self.sample_period is not None and not (math.isfinite(self.sample_period) and self.sample_period > 0):
-            raise ConfigurationError(f"--sample-period is {self.sample_period} s: it must be positive.")
-        if not 0 < self.phase_margin < 90:
-            raise ConfigurationError(f"--phase-margin is {self.phase_margin} degrees: it must be between 0 and 90.")
+    i_d: FloatArray | None = None  # axes, A; None: 41 points from -i_max to i_max
+    i_q: FloatArray | None = None
+    filled: bool = setting(False, "whether to continue the map where there are no data")
+    pole_pairs: int | None = setting(None, "instead of those of the result")
+    u_dc: float | None = setting(None, "instead of that of the result", unit="V")
+    leakage_inductance: float = setting(
+        0.0, "L_sigma of the stator, which PLECS wants apart from the flux of the air gap", unit="H", minimum=0.0
+    )
+    bandwidth: float = setting(1000.0, "of the current controllers for VESC, ODrive and C", unit="rad/s", minimum=1e-6)
+    sample_period: float | None = setting(
+        None, "of the current controllers for C: the delay then limits the bandwidth", unit="s", minimum=1e-12
+    )
+    phase_margin: float = setting(
+        60.0, "least phase margin with that delay", unit="degrees", minimum=1e-3, maximum=89.999
+    )

@@ -13,6 +13,7 @@ from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.exchange.exports.axes import default_axis
+from drive_id.exchange.exports.options import ExportOptions
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 from drive_id.version import VERSION
@@ -21,27 +22,6 @@ _PER_PERIOD = 12  # angles per period of the highest harmonic: linear interpolat
 _LEAST_ANGLES = 4  # of a table over the angle, without harmonics too
 _NEGLIGIBLE = 0.01  # amplitude of a harmonic, by the largest flux, that may be left out
 _MARGIN = 1.25  # reach of the harmonics, in i_max
-
-
-@dataclass(frozen=True, eq=False)
-class TableChoice:
-    """Which table to write.
-
-    Parameters
-    ----------
-    i_d, i_q : (D,), (Q,) float or None
-        Axes, A; None: 41 points from -i_max to i_max.
-    filled : bool
-        Continue the map where there are no data.
-    pole_pairs, u_dc : int, float or None
-        Instead of those of the result; V.
-    """
-
-    i_d: FloatArray | None = None
-    i_q: FloatArray | None = None
-    filled: bool = False
-    pole_pairs: int | None = None
-    u_dc: float | None = None
 
 
 class AtZero(NamedTuple):
@@ -58,35 +38,20 @@ class MapTable:
 
     Arrays over the current plane are indexed [i_d, i_q]. Where there are no data they are NaN, unless the table is
     filled; ``inside`` tells.
-
-    Parameters
-    ----------
-    machine : MachineModel
-        Continued beyond the data.
-    i_d, i_q : (D,), (Q,) float
-        Axes, A.
-    filled : bool
-        Points without data hold the continuation of the map.
     """
 
     result: Result
-    machine: MachineModel
-    i_d: FloatArray
-    i_q: FloatArray
-    filled: bool = False
+    machine: MachineModel  # continued beyond the data
+    i_d: FloatArray  # (D,), A
+    i_q: FloatArray  # (Q,), A
+    filled: bool = False  # points without data hold the continuation of the map
 
     @classmethod
-    def of(cls, result: Result, choice: TableChoice) -> MapTable:
-        """Sample a result.
-
-        Raises
-        ------
-        CoverageError
-            When no point of the table has data.
-        """
-        i_d, i_q = (default_axis(result.i_max) if axis is None else axis for axis in (choice.i_d, choice.i_q))
-        machine = MachineModel.of(result, pole_pairs=choice.pole_pairs, u_dc=choice.u_dc)
-        table = cls(result, machine, i_d, i_q, choice.filled)
+    def of(cls, result: Result, options: ExportOptions) -> MapTable:
+        """Sample a result; raises CoverageError when no point of the table has data."""
+        i_d, i_q = (default_axis(result.i_max) if axis is None else axis for axis in (options.i_d, options.i_q))
+        machine = MachineModel.of(result, pole_pairs=options.pole_pairs, u_dc=options.u_dc)
+        table = cls(result, machine, i_d, i_q, options.filled)
         if not table.inside.any():
             raise CoverageError("No point of the table has data: choose a smaller --range.")
         return table

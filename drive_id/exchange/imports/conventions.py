@@ -10,72 +10,43 @@ from typing import Any
 
 import numpy as np
 
-from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.points import MapPoints
+from drive_id.settings import Checked, setting
 
-CHOICES = {
-    "axis": ("pm", "sr"),
-    "order": ("dq", "qd"),
-    "sign": ("motor", "generator"),
-    "magnet": ("plus", "minus"),
-    "q_axis": ("leads", "lags"),
-    "current": ("peak", "rms", "power"),
-    "flux": ("peak", "rms", "power"),
-}
-"""Values of the conventions; the first is ours."""
+_LEAST_SCALE = 1e-30
 _AMPLITUDE = {"peak": 1.0, "rms": sqrt(2.0), "power": sqrt(2.0 / 3.0)}
 
 
 @dataclass(frozen=True)
-class Conventions:
-    """How a file measures currents and fluxes. The defaults are ours.
+class Conventions(Checked):
+    """How a file measures currents and fluxes. The defaults are ours."""
 
-    Parameters
-    ----------
-    axis : {"pm", "sr"}
-        d is the axis of the magnet, or the axis of largest permeance, 90 degrees ahead of it.
-    order : {"dq", "qd"}
-        Arrays are indexed [i_d, i_q] and columns named as they are, or with d and q exchanged.
-    sign : {"motor", "generator"}
-        Currents and torque are positive when the machine takes up or delivers power.
-    magnet : {"plus", "minus"}
-        The magnet is on the positive or negative side of its axis.
-    q_axis : {"leads", "lags"}
-        q is 90 degrees electrical ahead of d in the direction of positive angle and torque, or behind it.
-    current, flux : {"peak", "rms", "power"}
-        Scaling: peak values, RMS values, or a power-invariant transformation.
-    current_scale, flux_scale : float
-        Factors to ampere and weber, 0.001 for values in milliampere.
+    axis: str = setting(
+        "pm", "d is the axis of the magnet, or of largest permeance, 90 degrees ahead of it", choices=("pm", "sr")
+    )
+    order: str = setting(
+        "dq",
+        "arrays are indexed [i_d, i_q] and columns named as they are, or with d and q exchanged",
+        choices=("dq", "qd"),
+    )
+    sign: str = setting(
+        "motor", "currents and torque are positive when the machine takes up or delivers power",
+        choices=("motor", "generator"),
+    )  # fmt: skip
+    magnet: str = setting("plus", "the side of its axis on which the magnet is", choices=("plus", "minus"))
+    q_axis: str = setting(
+        "leads", "q is 90 degrees electrical ahead of d in the direction of positive angle and torque, or behind it",
+        choices=("leads", "lags"),
+    )  # fmt: skip
+    current: str = setting("peak", "peak, RMS, or of a power-invariant transformation", choices=tuple(_AMPLITUDE))
+    flux: str = setting("peak", "likewise", choices=tuple(_AMPLITUDE))
+    current_scale: float = setting(1.0, "factor to ampere, 0.001 for milliampere", minimum=_LEAST_SCALE)
+    flux_scale: float = setting(1.0, "factor to weber", minimum=_LEAST_SCALE)
 
-    Raises
-    ------
-    ConfigurationError
-        When a value is none of these, or a factor is not positive.
-    """
-
-    axis: str = "pm"
-    order: str = "dq"
-    sign: str = "motor"
-    magnet: str = "plus"
-    q_axis: str = "leads"
-    current: str = "peak"
-    flux: str = "peak"
-    current_scale: float = 1.0
-    flux_scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name, choices in CHOICES.items():
-            value = getattr(self, name)
-            if value not in choices:
-                raise ConfigurationError(f"--{_option(name)} is '{value}': it must be {' or '.join(choices)}.")
-        for name in ("current_scale", "flux_scale"):
-            value = getattr(self, name)
-            if not (np.isfinite(value) and value > 0):
-                raise ConfigurationError(f"--{_option(name)} is {value}: give a positive factor.")
-
-    def differing(self, other: Conventions) -> str:
+    def differing(self, other: Conventions) -> list[str]:
         """Return the entries that differ from another's as command-line options."""
-        return " ".join(f"--{_option(name)} {getattr(self, name)}" for name in self._changed(other))
+        values = ((entry.name, getattr(self, entry.name), getattr(other, entry.name)) for entry in fields(self))
+        return [f"--{name.replace('_', '-')} {own}" for name, own, others in values if own != others]
 
     def alternatives(self, names: tuple[str, ...]) -> Iterator[Conventions]:
         """Yield all others that differ in some of the named choices, those with the fewest changes first."""
@@ -88,28 +59,19 @@ class Conventions:
             changed: dict[str, Any] = dict(zip(names, values, strict=True))
             yield replace(self, **changed)
 
-    def changes(self, other: Conventions) -> int:
-        """Count the entries in which another differs."""
-        return len(self._changed(other))
 
-    def _changed(self, other: Conventions) -> list[str]:
-        return [entry.name for entry in fields(self) if getattr(self, entry.name) != getattr(other, entry.name)]
-
-
-def _option(name: str) -> str:
-    return name.replace("_", "-")
+CHOICES: dict[str, tuple[str, ...]] = {
+    entry.name: entry.metadata["choices"] for entry in fields(Conventions) if entry.metadata["choices"]
+}
+"""Values of the conventions; the first is ours."""
 
 
 def converted(points: MapPoints, conventions: Conventions) -> MapPoints:
-    """Return a map in our conventions.
+    """Return a map in our conventions from one in those of a file.
 
     Equal phase currents and fluxes require, for d on the axis of largest permeance, ``i = J i_sr``, ``psi = J psi_sr``
-    and an angle that is 90 degrees less.
-
-    Parameters
-    ----------
-    conventions : Conventions
-        Those of the file. Where ``points.shape`` is given, their order was that of the indices, and is done with.
+    and an angle that is 90 degrees less. Where ``points.shape`` is given, their order was that of the indices, and is
+    done with.
     """
     transform = np.eye(2)
     shift = 0.0

@@ -6,28 +6,21 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from drive_id.errors import ConfigurationError
-from drive_id.exchange.imports.matlab import load, read_motor_cad, read_syre_flux, read_syre_model
+from drive_id.exchange.imports.matlab import read_motor_cad, read_syre_flux, read_syre_model
 from drive_id.exchange.imports.npz import read_npz
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.exchange.imports.source import Source
 from drive_id.exchange.imports.text import read_csv
+from drive_id.files.inputs.matlab import load_matlab
 
 
 @dataclass(frozen=True)
 class ImportFormat:
-    """A format of map files.
-
-    Parameters
-    ----------
-    read : callable
-        Returns the points of a :class:`~.source.Source`; raises ConfigurationError.
-    mark : str
-        Variable that tells a MATLAB file of this format from others.
-    """
+    """A format of map files."""
 
     title: str
-    read: Callable[[Source], MapPoints]
-    mark: str = ""
+    read: Callable[[Source], MapPoints]  # raises ConfigurationError
+    mark: str = ""  # variable that tells a MATLAB file of this format from others
 
 
 IMPORTS: Mapping[str, ImportFormat] = {
@@ -40,21 +33,21 @@ IMPORTS: Mapping[str, ImportFormat] = {
 _SUFFIXES = {".npz": "npz", ".csv": "csv", ".txt": "csv", ".tsv": "csv", ".dat": "csv"}
 
 
-def format_of(source: Source, name: str | None) -> str:
+def format_of(source: Source) -> str:
     """Return the name of a file's format: the given one, or that of its suffix and its variables.
 
     Raises ConfigurationError when the name is unknown, or the file does not tell its format.
     """
     known = ", ".join(IMPORTS)
-    if name is not None:
-        if name not in IMPORTS:
-            raise ConfigurationError(f"There is no import format '{name}': choose {known}.")
-        return name
+    if source.format is not None:
+        if source.format not in IMPORTS:
+            raise ConfigurationError(f"There is no import format '{source.format}': choose {known}.")
+        return source.format
     suffix = source.path.suffix.lower()
     if suffix in _SUFFIXES:
         return _SUFFIXES[suffix]
     if suffix == ".mat":
-        variables = load(source)
+        variables = load_matlab(source.path, f"'{source.path}'")
         for found, entry in IMPORTS.items():
             if entry.mark and entry.mark in variables:
                 return found

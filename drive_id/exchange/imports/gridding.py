@@ -32,23 +32,13 @@ _SYMMETRIC = 0.02  # flux psi_q at i_q = 0, relative to the largest, up to which
 
 @dataclass(frozen=True, eq=False)
 class Gridded:
-    """A map on a grid.
-
-    Parameters
-    ----------
-    mirrored : bool
-        The file covers one sign of i_q; the other half is its mirror image.
-    scattered : bool
-        The points do not form a grid: the map is a co-energy spline through them.
-    rms : float
-        Distance of a spline from its points, rms, Wb; 0 for a grid.
-    """
+    """A map on a grid."""
 
     flux_map: FluxMap
     harmonics: tuple[HarmonicMap, ...]
-    mirrored: bool
-    scattered: bool
-    rms: float = 0.0
+    mirrored: bool  # the file covers one sign of i_q; the other half is its mirror image
+    scattered: bool  # the points do not form a grid: the map is a co-energy spline through them
+    rms: float = 0.0  # distance of a spline from its points, Wb
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,17 +53,9 @@ class _Columns:
 
 
 def gridded(points: MapPoints) -> Gridded:
-    """Put points on a grid; scattered points are first fitted by a reciprocal, monotone spline.
+    """Put points in our conventions on a grid; scattered points are first fitted by a reciprocal, monotone spline.
 
-    Parameters
-    ----------
-    points : MapPoints
-        In our conventions.
-
-    Raises
-    ------
-    ConfigurationError
-        When the rotor positions are not equally spaced, or there are too many scattered points.
+    Raises ConfigurationError when the rotor positions are not equally spaced, or there are too many scattered points.
     """
     orders, amplitudes = harmonics_of(points)
     sigma = points.sigma_dq if points.sigma_dq is not None else np.full(points.i_dq.shape, np.nan)

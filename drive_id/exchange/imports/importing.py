@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.result.identification import FluxMap, IdentifiedDrive
 from drive_id.errors import ConfigurationError
-from drive_id.exchange.imports.conventions import Conventions, converted
+from drive_id.exchange.imports.conventions import converted
 from drive_id.exchange.imports.formats import IMPORTS, format_of
 from drive_id.exchange.imports.gridding import gridded
 from drive_id.exchange.imports.plausibility import check_plausible, large_flux, outlier, torque_ratio
@@ -25,38 +25,14 @@ from drive_id.messages import Message
 from drive_id.origins import IMPORTED
 
 _COVERAGE_POINTS = 101  # along an axis, by which the covered share of the disc is counted
-OURS = Conventions()
 
 
-@dataclass(frozen=True)
-class ImportOptions:
-    """What the user states about a file, apart from how to read it.
-
-    Parameters
-    ----------
-    format : str or None
-        None: by the name and content of the file.
-    axis : str or None
-        See :class:`~.conventions.Conventions`; None: as the file says, else ``pm``.
-    conventions : Conventions
-        All other conventions.
-    machine : str
-        Name; empty: that of the file.
-    """
-
-    format: str | None = None
-    axis: str | None = None
-    conventions: Conventions = OURS
-    machine: str = ""
-
-
-def import_map(source: Source | str | Path, options: ImportOptions | None = None) -> Identification:
+def import_map(source: Source | str | Path) -> Identification:
     """Read a flux map of another tool.
 
     Parameters
     ----------
     source : Source or path
-    options : ImportOptions, optional
 
     Returns
     -------
@@ -69,21 +45,20 @@ def import_map(source: Source | str | Path, options: ImportOptions | None = None
         When the file cannot be read, or holds a map that no machine has; the message names the options that would make
         it plausible.
     """
-    chosen = options or ImportOptions()
     source = source if isinstance(source, Source) else Source(Path(source))
-    name = format_of(source, chosen.format)
+    name = format_of(source)
 
     def read(order: str) -> MapPoints:
-        points = IMPORTS[name].read(replace(source, order=order))
+        points = IMPORTS[name].read(replace(source, conventions=replace(source.conventions, order=order)))
         theta = None if points.theta is None else points.theta + np.radians(source.angle_offset)
         return replace(points, theta=theta)
 
-    points = read(chosen.conventions.order)
-    if chosen.axis is not None and points.axis is not None and chosen.axis != points.axis:
+    points = read(source.conventions.order)
+    if source.axis is not None and points.axis is not None and source.axis != points.axis:
         raise ConfigurationError(
-            f"--axis {chosen.axis} contradicts '{source.path}', whose axes are of type {points.axis}: leave it out."
+            f"--axis {source.axis} contradicts '{source.path}', whose axes are of type {points.axis}: leave it out."
         )
-    conventions = replace(chosen.conventions, axis=chosen.axis or points.axis or "pm")
+    conventions = replace(source.conventions, axis=source.axis or points.axis or "pm")
 
     def transposed() -> MapPoints | None:
         try:
@@ -94,10 +69,10 @@ def import_map(source: Source | str | Path, options: ImportOptions | None = None
     check_plausible(points, conventions, transposed)
     ours = converted(points, conventions)
     statements = [Message("imported", file=source.path.name, title=IMPORTS[name].title, **asdict(conventions))]
-    return _result(source, ours, statements, chosen.machine)
+    return _result(source, ours, statements)
 
 
-def _result(source: Source, points: MapPoints, statements: list[Message], machine: str) -> Identification:
+def _result(source: Source, points: MapPoints, statements: list[Message]) -> Identification:
     found, scalars, ratio = gridded(points), points.scalars, torque_ratio(points)
     pairs = scalars.get("pole_pairs")
     if pairs is not None and pairs != round(pairs):
@@ -136,7 +111,7 @@ def _result(source: Source, points: MapPoints, statements: list[Message], machin
     provenance = Provenance(
         inputs={str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
         settings=FitSettings(),
-        machine=machine or points.machine or source.path.stem,
+        machine=source.machine or points.machine or source.path.stem,
         pole_pairs=None if pairs is None else round(pairs),
         u_dc=scalars.get("u_dc"),
         date=datetime.now(timezone.utc).isoformat(timespec="seconds"),

@@ -30,7 +30,7 @@ def read_syre_model(source: Source) -> MapPoints:
 
 def read_syre_flux(source: Source) -> MapPoints:
     """Read SyR-e's ``fdfq_idiq_n256.mat``: ``Id Iq Fd Fq`` and, if there, ``T`` and ``dataSet.axisType``."""
-    values = load(source)
+    values = load_matlab(source.path, f"'{source.path}'")
     i_dq, psi_dq = (_stacked(source, values, names) for names in (("Id", "Iq"), ("Fd", "Fq")))
     torque = _array(source, values, "T").ravel() if "T" in values else None
     axis = getattr(values.get("dataSet"), "axisType", None)
@@ -44,7 +44,7 @@ def read_motor_cad(source: Source) -> MapPoints:
     ``Id_Peak`` and ``Iq_Peak`` are grids, in polar or rectangular coordinates; ``Flux_Linkage_D/Q`` or, over electrical
     degrees in ``Angular_Rotor_Position``, ``Angular_Flux_Linkage_D/Q`` have one more axis.
     """
-    values = load(source)
+    values = load_matlab(source.path, f"'{source.path}'")
     i_dq = _stacked(source, values, ("Id_Peak", "Iq_Peak"))
     angular = "Angular_Flux_Linkage_D" in values and "Angular_Rotor_Position" in values
     theta: FloatArray | None = None
@@ -81,11 +81,6 @@ def read_motor_cad(source: Source) -> MapPoints:
     first.sort()
     torque, scalars = None if torque is None else torque[first], known_scalars(scalars, source.scalars)
     return MapPoints(i_dq[first], psi[first], theta, torque, scalars=scalars).complete()
-
-
-def load(source: Source) -> Mapping[str, Any]:
-    """Return the variables of a ``.mat`` file up to version 7; raises ConfigurationError when it cannot be read."""
-    return load_matlab(source.path, f"'{source.path}'")
 
 
 def _array(source: Source, values: Mapping[str, Any], name: str) -> FloatArray:

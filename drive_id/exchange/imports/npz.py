@@ -11,8 +11,7 @@ import numpy as np
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.points import SCALARS, MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
-from drive_id.files.inputs.archive import DAMAGED, read_arrays
-from drive_id.files.inputs.input_file import open_input
+from drive_id.files.inputs.archive import load_npz
 from drive_id.origins import ORIGINS
 from drive_id.types import FloatArray
 
@@ -24,7 +23,7 @@ _SCALARS = {
 
 def read_npz(source: Source) -> MapPoints:
     """Read a map from an ``.npz`` file."""
-    values = _arrays(source.path)
+    values = load_npz(source.path, f"'{source.path}'")
     scalars = known_scalars({name: values[key] for key, name in _SCALARS.items() if key in values}, source.scalars)
     machine = str(values["machine"]) if "machine" in values else ""
     if "i_s_dq" in values and "psi_s_dq" in values:
@@ -70,10 +69,10 @@ def ordered(source: Source, values: FloatArray, name: str, count_d: int, count_q
 
     Raises ConfigurationError when its shape does not fit the axes.
     """
-    turned = np.swapaxes(values, 0, 1) if source.order == "qd" and values.ndim >= 2 else values
+    turned = np.swapaxes(values, 0, 1) if source.conventions.order == "qd" and values.ndim >= 2 else values
     if turned.ndim not in (2, 3) or turned.shape[:2] != (count_d, count_q):
-        hint = f"its axes need {(count_d, count_q)} in the order {source.order}"
-        other = "qd" if source.order == "dq" else "dq"
+        hint = f"its axes need {(count_d, count_q)} in the order {source.conventions.order}"
+        other = "qd" if source.conventions.order == "dq" else "dq"
         if values.ndim >= 2 and np.swapaxes(turned, 0, 1).shape[:2] == (count_d, count_q):
             hint += f", and would fit with --order {other}"
         raise ConfigurationError(f"'{name}' in '{source.path}' has shape {values.shape}: {hint}.")
@@ -96,16 +95,6 @@ def real(path: Path, name: str, value: Any) -> FloatArray:
     if found.dtype.kind not in "fiub":
         raise ConfigurationError(f"'{name}' in '{path}' is of type {found.dtype}: it must hold real numbers.")
     return found.astype(np.float64)
-
-
-def _arrays(path: Path) -> dict[str, Any]:
-    try:
-        with open_input(path) as stream:
-            return dict(read_arrays(stream))
-    except DAMAGED as error:
-        raise ConfigurationError(
-            f"'{path}' is damaged, not an .npz archive, or holds objects instead of numbers: write it with numpy.savez."
-        ) from error
 
 
 def _of_motulator(path: Path, values: Mapping[str, Any], scalars: Mapping[str, float], machine: str) -> MapPoints:

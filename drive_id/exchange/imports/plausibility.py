@@ -47,21 +47,11 @@ def _faults(points: MapPoints) -> list[str]:
 
 
 def check_plausible(points: MapPoints, conventions: Conventions, transposed: Callable[[], MapPoints | None]) -> None:
-    """Refuse an implausible map, naming the conventions that would make it plausible.
+    """Refuse a map that the assumed conventions of its file make implausible, naming those that would not.
 
-    Parameters
-    ----------
-    points : MapPoints
-        In the conventions of the file.
-    conventions : Conventions
-        Those that were assumed.
-    transposed : callable
-        Returns the same points with the indices of their grid exchanged; None when they did not need an order.
+    ``transposed`` returns the same points with the indices of their grid exchanged; None when they needed no order.
 
-    Raises
-    ------
-    ConfigurationError
-        When the map is implausible.
+    Raises ConfigurationError when the map is implausible.
     """
     ours = converted(points, conventions)
     found = _faults(ours)
@@ -80,7 +70,7 @@ def _hint(points: MapPoints, assumed: Conventions, transposed: MapPoints | None)
     names += _AMPLITUDES if points.torque is not None else ()
     fitting: list[Conventions] = []
     for other in assumed.alternatives(names):
-        if fitting and other.changes(assumed) > fitting[0].changes(assumed):
+        if fitting and len(other.differing(assumed)) > len(fitting[0].differing(assumed)):
             break
         turned = other.order != assumed.order and points.shape is not None
         source = transposed if turned else points
@@ -89,14 +79,12 @@ def _hint(points: MapPoints, assumed: Conventions, transposed: MapPoints | None)
         if not _faults(converted(source, other)):
             fitting.append(other)
     if fitting:
-        options = " or ".join(f"'{other.differing(assumed)}'" for other in fitting)
+        options = " or ".join(f"'{' '.join(other.differing(assumed))}'" for other in fitting)
         return f"it would be plausible with {options}"
-    if math.isclose(assumed.current_scale, 1.0) and math.isclose(assumed.flux_scale, 1.0):
-        return (
-            "no choice of axes, signs and order makes it plausible: check which columns or fields are read, and their "
-            "units (--current-scale, --flux-scale)"
-        )
-    return "no choice of axes, signs and order makes it plausible: check the scales, and which columns are read"
+    return (
+        "no choice of axes, signs and order makes it plausible: check which columns or fields are read, and their "
+        "units (--current-scale, --flux-scale)"
+    )
 
 
 def _without(points: MapPoints, odd: Message) -> MapPoints:

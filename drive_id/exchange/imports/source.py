@@ -9,41 +9,26 @@ from pathlib import Path
 from typing import Any
 
 from drive_id.errors import ConfigurationError
+from drive_id.exchange.imports.conventions import Conventions
 
 
 @dataclass(frozen=True)
 class Source:
-    """A file and how to read it.
-
-    Parameters
-    ----------
-    order : {"dq", "qd"}
-        Of the indices of arrays whose axes are one-dimensional.
-    columns : mapping of str to str
-        Our names (``i_d``, ``i_q``, ``psi_d``, ``psi_q``, ``torque``, ``theta``, ``sigma_d``, ``sigma_q``) to the
-        headings, or numbers from 1, of a text file's columns.
-    psi_q_file : Path or None
-        The second of two text files with one matrix each.
-    angle : {"electrical", "mechanical"}
-        Of rotor positions.
-    angle_offset : float
-        Electrical angle of the d axis from phase a at the file's position zero, degrees.
-    scalars : mapping of str to float
-        Given values of ``resistance``, ``pole_pairs``, ``i_max`` and ``u_dc``: they take precedence over the file's.
-
-    Raises
-    ------
-    ConfigurationError
-        When there is no such file.
-    """
+    """A file and how to read it; raises ConfigurationError when there is no such file."""
 
     path: Path
-    order: str = "dq"
+    format: str | None = None  # None: by the name and content of the file
+    axis: str | None = None  # see :class:`~.conventions.Conventions`; None: as the file says, else ``pm``
+    conventions: Conventions = field(default_factory=Conventions)  # all others
+    machine: str = ""  # its name; empty: that of the file
     columns: Mapping[str, str] = field(default_factory=dict)
-    psi_q_file: Path | None = None
-    angle: str = "electrical"
-    angle_offset: float = 0.0
+    """Our names (``i_d``, ``psi_q``, ``torque``, ``theta``, ``sigma_d``, ...) to headings of a text file, or numbers
+    of its columns from 1."""
+    psi_q_file: Path | None = None  # the second of two text files with one matrix each
+    angle: str = "electrical"  # of rotor positions, or "mechanical"
+    angle_offset: float = 0.0  # electrical, of the d axis from phase a at the file's position zero, degrees
     scalars: Mapping[str, Any] = field(default_factory=dict)
+    """Given ``resistance``, ``pole_pairs``, ``i_max`` and ``u_dc``: they take precedence over the file's."""
 
     def __post_init__(self) -> None:
         for path in (self.path, self.psi_q_file):

@@ -55,7 +55,6 @@ def _unit(heading: list[str] | None, place: int) -> float:
 
 
 def _places(source: Source, heading: list[str] | None, count: int) -> dict[str, int]:
-    """Return which column holds which quantity."""
     unknown = [name for name in source.columns if name not in COLUMNS]
     if unknown:
         raise ConfigurationError(f"--columns names '{unknown[0]}': the quantities are {', '.join(COLUMNS)}.")
@@ -95,7 +94,7 @@ def _matrices(source: Source, psi_q_file: Path) -> MapPoints:
         if min(rows.shape) < 5:
             raise ConfigurationError(f"'{path}' has {rows.shape} numbers: a matrix needs axes of at least 4 currents.")
         first, second, values = rows[1:, 0], rows[0, 1:], rows[1:, 1:]
-        i_d, i_q = (first, second) if source.order == "dq" else (second, first)
+        i_d, i_q = (first, second) if source.conventions.order == "dq" else (second, first)
         found.append((i_d, i_q, ordered(source, values, path.name, len(i_d), len(i_q)), told))
     (i_d, i_q, psi_d, told), (other_d, other_q, psi_q, _) = found
     if not (np.array_equal(i_d, other_d) and np.array_equal(i_q, other_q)):

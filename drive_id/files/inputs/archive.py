@@ -20,8 +20,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.errors import DriveIdError
-from drive_id.files.inputs.input_file import reason, shown_size
+from drive_id.errors import ConfigurationError, DriveIdError
+from drive_id.files.inputs.input_file import open_input, reason, shown_size
 
 DAMAGED = (
     OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, RecursionError,
@@ -67,6 +67,25 @@ def damage(error: Exception) -> str:
 def unpacked_limit(size: int, largest: int = LARGEST) -> int:
     """Return to how many bytes an archive of ``size`` bytes may unpack."""
     return min(UNPACKED + RATIO * size, largest)
+
+
+def load_npz(
+    path: Path, shown: str, names: Collection[str] | None = None, *, largest: int = LARGEST
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a file of a map, all of them or those with these names.
+
+    Raises ConfigurationError when it cannot be read, with a sentence that begins with ``shown``.
+    """
+    try:
+        with open_input(path) as stream:
+            return read_arrays(stream, names, largest=largest)
+    except DAMAGED as error:
+        if str(error).startswith("it would unpack"):
+            raise ConfigurationError(f"{shown} is too large ({error}): resample its maps.") from error
+        raise ConfigurationError(
+            f"{shown} is damaged, not an .npz archive, or holds objects instead of numbers: write it again with "
+            "numpy.savez."
+        ) from error
 
 
 def read_arrays(

@@ -6,6 +6,7 @@ prints them or merges them; a number of a million digits takes minutes to conver
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import yaml
@@ -22,28 +23,28 @@ _SHORT = 1 << 14  # characters that cannot hold more entries than are allowed
 _FASTEST = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
-def load_yaml(text: str, most: int = MOST_ENTRIES) -> Any:
-    """Return a YAML document as plain values.
+def load_yaml(text: str, most: int = MOST_ENTRIES, look: Callable[[yaml.Node], None] = lambda _: None) -> Any:
+    """Return a YAML document as plain values; ``look`` sees its nodes before, with the lines where they are.
 
-    Raises yaml.YAMLError when it is not YAML, ValueError when it has more entries or is nested too deeply.
+    Raises yaml.YAMLError when it is not YAML, ValueError when it has more entries (aliases stand for what they repeat),
+    is nested too deeply or holds an endless number.
     """
-    check_text(text, most)
+    _check_text(text, most)
     loader = _FASTEST(text)
     try:
         node = loader.get_single_node()
         if node is None:
             return None
-        check_node(node, most)
+        if _entries(node, {}) > most:
+            raise ValueError("its aliases stand for too many entries")
+        look(node)
         return loader.construct_document(node)
     finally:
         loader.dispose()
 
 
-def check_text(text: str, most: int = MOST_ENTRIES) -> None:
-    """Check a text before its document is built: libyaml crashes on deep nesting, and PyYAML recurses.
-
-    Raises yaml.YAMLError when it is not YAML, ValueError when it has more entries or is nested too deeply.
-    """
+def _check_text(text: str, most: int) -> None:
+    """Check a text before its document is built: libyaml crashes on deep nesting, and PyYAML recurses."""
     try:
         _check_events(text, most, _FASTEST)
     except yaml.YAMLError as error:
@@ -67,12 +68,6 @@ def _check_events(text: str, most: int, loader: type) -> None:
             raise ValueError(_TOO_DEEP)
         if count > most:
             raise ValueError("it has too many entries")
-
-
-def check_node(node: yaml.Node, most: int = MOST_ENTRIES) -> None:
-    """Raise ValueError for a document whose aliases stand for more entries, or that holds an endless number."""
-    if _entries(node, {}) > most:
-        raise ValueError("its aliases stand for too many entries")
 
 
 def _entries(node: yaml.Node, known: dict[int, int]) -> int:

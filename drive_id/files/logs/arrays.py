@@ -129,10 +129,6 @@ class Hdf5Log(SlicedLog):
             return np.asarray(item[at])
         return np.asarray(item[at, k] if axis == 0 else item[k, at])
 
-    def close(self) -> None:
-        """Release the file."""
-        self._file.close()
-
 
 def grouped(columns: dict[str, tuple[str, int]]) -> tuple[ColumnGroup, ...]:
     """Return the columns, name to type and length, as groups of equal length; the longest come first."""

@@ -20,14 +20,14 @@ class _StreamLog(SlicedLog):
         self.path = path
         self._stream = path.open("rb")
         try:
-            self._file: Any = library(self._stream)
+            self._file = library(self._stream)
         except BaseException:
             self._stream.close()
             raise
 
     def close(self) -> None:
         """Release the file."""
-        self._file.close()
+        super().close()
         self._stream.close()
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from drive_id.errors import DriveIdError, MissingTopicError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import reason
 from drive_id.files.storage.container import UnpackBudget
+from drive_id.messages import Message
 
 ROWS = 1 << 16
 """Rows of a part."""
@@ -68,9 +69,20 @@ class ColumnLog(ABC):
     kind: str
     """Such as ``csv`` or ``mdf``."""
     path: Path
+    _file: Any = None
+    """Of the library, to be closed."""
     groups: tuple[ColumnGroup, ...]
     bounded = True
     """Whether the file is read part by part; otherwise it is held in memory as a whole."""
+    checked = False
+    """Whether checksums cover the samples."""
+    warnings: tuple[Message, ...] = ()
+    """As of a bag, which has several files, too."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The file itself."""
+        return (self.path,)
 
     def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
         """Yield the wanted columns, parts of some ``rows``; groups of different length advance together in time.
@@ -86,8 +98,10 @@ class ColumnLog(ABC):
     def _parts(self, wanted: Sequence[Column], rows: int) -> Iterator[Rows]:
         """Yield the wanted columns."""
 
-    def close(self) -> None:  # noqa: B027  # nothing to do for most
+    def close(self) -> None:
         """Release the file."""
+        if self._file is not None:
+            self._file.close()
 
 
 class SlicedLog(ColumnLog):

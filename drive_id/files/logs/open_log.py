@@ -7,6 +7,8 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from drive_id.errors import NotABagError
+from drive_id.files.logs.arrays import Hdf5Log, MatLog
+from drive_id.files.logs.channels import MdfLog, TdmsLog
 from drive_id.files.logs.column_log import ColumnLog, one_sentence
 from drive_id.files.logs.log_kind import log_kind
 
@@ -27,22 +29,12 @@ def open_log(path: Path) -> Iterator[ColumnLog]:
 
 
 def _opened(path: Path, kind: str) -> ColumnLog:
-    if kind == "csv":
-        from drive_id.files.logs.tables import CsvLog  # noqa: PLC0415  # pandas takes a second to load
+    if kind in ("csv", "parquet"):
+        from drive_id.files.logs.tables import CsvLog, ParquetLog  # noqa: PLC0415  # pandas takes a second to load
 
-        return CsvLog(path)
-    if kind == "parquet":
-        from drive_id.files.logs.tables import ParquetLog  # noqa: PLC0415  # likewise
-
-        return ParquetLog(path)
+        return CsvLog(path) if kind == "csv" else ParquetLog(path)
     if kind == "mat":
-        from drive_id.files.logs.arrays import MatLog  # noqa: PLC0415  # likewise
-
         return MatLog(path)
     if kind in ("mat73", "hdf5"):
-        from drive_id.files.logs.arrays import Hdf5Log  # noqa: PLC0415  # likewise
-
         return Hdf5Log(path, matlab=kind == "mat73")
-    from drive_id.files.logs.channels import MdfLog, TdmsLog  # noqa: PLC0415  # likewise
-
     return MdfLog(path) if kind == "mdf" else TdmsLog(path)

@@ -98,10 +98,6 @@ class ParquetLog(ColumnLog):
             found = {column: batch.column(column.name).to_pandas() for column in wanted}
             yield Rows({column: _numbers(x, column.name, self.path) for column, x in found.items()}, done / total)
 
-    def close(self) -> None:
-        """Release the file."""
-        self._file.close()
-
 
 def _numbers(found: Any, name: str, path: Path) -> NDArray[Any]:
     """Return dates as ns, and numbers also from texts; raises MessageTypeError when they are neither."""

@@ -15,13 +15,14 @@ import numpy as np
 
 from drive_id.core.fit_settings import MOST_POLE_PAIRS
 from drive_id.errors import ConfigurationError
-from drive_id.files.inputs.archive import DAMAGED, read_arrays
-from drive_id.files.inputs.input_file import check_input, open_input, reason
+from drive_id.files.inputs.archive import load_npz
+from drive_id.files.inputs.input_file import check_input, reason
 from drive_id.files.machines.syre import read_syre, sr_to_pm
 from drive_id.types import FloatArray, MachineMap
 
 _ARRAYS = ("id", "iq", "psi_d", "psi_q")
 _ARRAYS_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
+_NAMES = (*_ARRAYS, *_ARRAYS_THETA, "R", "pole_pairs", "i_max", "u_dc")
 _LARGEST = 1 << 28
 """Bytes of a machine file, and of its arrays."""
 _DEFAULT_SPEED = 3000.0  # rpm, up to which the default DC-link voltage suffices for i_max
@@ -35,26 +36,16 @@ def read_machine(
     i_max: float | None = None,
     u_dc: float | None = None,
 ) -> MachineMap:
-    """Read a machine file.
+    """Read a machine file: an ``.npz`` file, or a ``.mat`` file of SyR-e (up to MATLAB's version 7).
 
-    Parameters
-    ----------
-    path : path
-        An ``.npz`` file, or a ``.mat`` file of SyR-e (up to MATLAB's version 7).
-    resistance, pole_pairs, i_max, u_dc : float, optional
-        Replaces the file's value, in ohm, 1, A, V. Without ``i_max``, the radius of the disc that the map covers is
-        used; without ``u_dc``, enough voltage for 3000 rpm.
+    Resistance, ohm, pole pairs, i_max, A, and u_dc, V, replace the file's values. Without ``i_max``, the radius of the
+    disc that the map covers is used; without ``u_dc``, enough voltage for 3000 rpm.
 
-    Returns
-    -------
-    MachineMap
-        With increasing axes. A map over i_q >= 0 only is mirrored: psi_d(-i_q, -theta) = psi_d(i_q, theta) and
-        psi_q(-i_q, -theta) = -psi_q(i_q, theta).
+    The axes of the map increase. A map over i_q >= 0 only is mirrored: psi_d(-i_q, -theta) = psi_d(i_q, theta) and
+    psi_q(-i_q, -theta) = -psi_q(i_q, theta).
 
-    Raises
-    ------
-    ConfigurationError
-        When the file is not a machine file, a value is missing or wrong, or the axes are oriented differently.
+    Raises ConfigurationError when the file is not a machine file, a value is missing or wrong, or the axes are oriented
+    differently.
     """
     path = Path(path)
     try:
@@ -65,7 +56,7 @@ def read_machine(
         why = reason(error) if isinstance(error, OSError) else error
         raise ConfigurationError(f"Machine file '{path}' cannot be read ({why}): check the path.") from error
     if path.suffix.lower() == ".npz":
-        values = _read_npz(path)
+        values = load_npz(path, f"Machine file '{path}'", _NAMES, largest=_LARGEST)
     elif path.suffix.lower() == ".mat":
         values, axis = read_syre(path)
         values = sr_to_pm(values) if axis == "sr" else values
@@ -74,20 +65,6 @@ def read_machine(
     given = {"R": resistance, "pole_pairs": pole_pairs, "i_max": i_max, "u_dc": u_dc}
     values |= {key: np.asarray(value) for key, value in given.items() if value is not None}
     return _build(path, values)
-
-
-def _read_npz(path: Path) -> dict[str, Any]:
-    wanted = (*_ARRAYS, *_ARRAYS_THETA, "R", "pole_pairs", "i_max", "u_dc")
-    try:
-        with open_input(path, _LARGEST) as stream:
-            return dict(read_arrays(stream, wanted, largest=_LARGEST))
-    except DAMAGED as error:
-        if str(error).startswith("it would unpack"):
-            raise ConfigurationError(f"Machine file '{path}' is too large ({error}): resample its maps.") from error
-        raise ConfigurationError(
-            f"Machine file '{path}' is damaged, not an .npz archive, or holds objects instead of numbers: write it "
-            "again with numpy.savez."
-        ) from error
 
 
 def _build(path: Path, values: dict[str, Any]) -> MachineMap:

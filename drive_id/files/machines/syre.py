@@ -21,17 +21,9 @@ _OVER_THETA = ("theta_e_deg", "psi_d_theta", "psi_q_theta")
 def read_syre(path: Path) -> tuple[dict[str, Any], str]:
     """Read the flux map of a SyR-e file: the map over rotor position if there is one, else the averaged map.
 
-    Returns
-    -------
-    values : dict of str to array
-        Under the names of our ``.npz`` files, in the axes of the file and indexed [id, iq, theta].
-    axis : str
-        ``pm`` or ``sr``, see :func:`sr_to_pm`.
-
-    Raises
-    ------
-    ConfigurationError
-        When the file is not a SyR-e file, up to MATLAB's version 7, with a flux map.
+    Returns the values under the names of our ``.npz`` files, in the axes of the file and indexed [id, iq, theta], and
+    the axis type, ``pm`` or ``sr``, see :func:`sr_to_pm`. Raises ConfigurationError when the file is not a SyR-e file,
+    up to MATLAB's version 7, with a flux map.
     """
     model = load_matlab(path, f"Machine file '{path}'", ["motorModel"]).get("motorModel")
     data = getattr(model, "data", None)

@@ -28,12 +28,16 @@ _FLOATS = (np.dtype(">f4"), np.dtype("<f4"))
 
 
 class BlockHead(NamedTuple):
-    """Head of a block: stamp (ns) and running count of the first sample, declared period (s), number of samples."""
+    """Head of a block: stamp (ns) and running count of the first sample, declared period (s), number of samples.
+
+    ``end`` is the position of the first array in the message.
+    """
 
     stamp: int
     first_sample: int
     sample_period: float
     samples: int
+    end: int = 0
 
 
 class Block(NamedTuple):
@@ -81,11 +85,6 @@ def read_head(data: bytes | memoryview) -> BlockHead:
 
     Raises ValueError when the message does not begin like a block.
     """
-    return _read_head(data)[0]
-
-
-def _read_head(data: bytes | memoryview) -> tuple[BlockHead, int]:
-    """Return the head, and the position of the first array."""
     try:
         order = data[1]
         if data[0] or order > 1:
@@ -97,7 +96,7 @@ def _read_head(data: bytes | memoryview) -> tuple[BlockHead, int]:
         raise ValueError("it ends too early") from None
     if nanoseconds >= NANOSECONDS:
         raise ValueError("its stamp has more than a second of nanoseconds")
-    return BlockHead(seconds * NANOSECONDS + nanoseconds, first_sample, sample_period, samples), position + 16
+    return BlockHead(seconds * NANOSECONDS + nanoseconds, first_sample, sample_period, samples, position + 16)
 
 
 def decode_block(data: bytes | memoryview, fields: int) -> Block:
@@ -105,7 +104,8 @@ def decode_block(data: bytes | memoryview, fields: int) -> Block:
 
     Raises ValueError when the message is not such a block; says why.
     """
-    head, position = _read_head(data)
+    head = read_head(data)
+    position = head.end
     number, floats = _NUMBER[data[1]], _FLOATS[data[1]]
     values = []
     for _ in range(fields):

@@ -6,7 +6,7 @@ import json
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,6 @@ from drive_id.files.messages.messages import BLOCK_FIELDS, message_typestore, sc
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.types import IntArray
-
-if TYPE_CHECKING:
-    from rosbags.typesys.store import Typestore
 
 DECODE_ERRORS = (
     struct.error, ValueError, LookupError, TypeError, AssertionError, OverflowError, MemoryError, RecursionError,
@@ -69,7 +66,9 @@ def decoder(topic: TopicInfo, signals: SignalMap) -> Callable[[bytes | memoryvie
         )
     from rosbags.serde import SerdeError  # noqa: PLC0415  # not needed for bags of our own messages
 
-    store = _typestore_for(topic, signals)
+    from drive_id.files.messages.message_types import typestore_for  # noqa: PLC0415  # likewise
+
+    store = typestore_for(topic, signals)
     deserialize = store.deserialize_cdr if topic.encoding == "cdr" else store.deserialize_ros1
 
     def decode(data: bytes | memoryview) -> object:
@@ -99,16 +98,12 @@ def _is_ours(topic: TopicInfo, signals: SignalMap) -> bool:
     given = (topic.definition_format, topic.definition)
     if topic.type_name not in signals.definitions and given == ("ros2msg", schema_text(topic.type_name)):
         return True
-    constants, fields = _typestore_for(topic, signals).fielddefs[topic.type_name]
+    from drive_id.files.messages.message_types import typestore_for  # noqa: PLC0415  # not needed for bags of our own messages
+
+    constants, fields = typestore_for(topic, signals).fielddefs[topic.type_name]
     ours = message_typestore().fielddefs[topic.type_name]
     arrays = 3 + len(BLOCK_FIELDS[topic.type_name])
     return len(fields) >= arrays and (constants, fields) == (ours[0], ours[1][: len(fields)])
-
-
-def _typestore_for(topic: TopicInfo, signals: SignalMap) -> Typestore:
-    from drive_id.files.messages.message_types import typestore_for  # noqa: PLC0415  # not needed for bags of our own messages
-
-    return typestore_for(topic, signals)
 
 
 def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:

@@ -6,6 +6,7 @@ written after ``pip install`` alone; the hashes are those that ROS 2 computes fr
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -37,11 +38,7 @@ _BODIES = {
 }
 
 BLOCK_FIELDS: dict[str, tuple[str, ...]] = {
-    PHASE_CURRENTS: ("a", "b", "c"),
-    PHASE_VOLTAGES: ("a", "b", "c"),
-    RESOLVER: ("angle", "speed"),
-    CURRENT_REFERENCE: ("d", "q"),
-    SCALAR_SAMPLES: ("value",),
+    name: tuple(re.findall(r"^float32\[\] (\w+)$", body, re.MULTILINE)) for name, body in _BODIES.items()
 }
 """The ``float32[]`` fields of each message, in order of definition."""
 

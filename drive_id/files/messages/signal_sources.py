@@ -418,32 +418,21 @@ def _our_phases(topic: str) -> PhaseSource:
 
 @dataclass(frozen=True)
 class SignalMap:
-    """The signals of one drive in a log.
+    """The signals of one drive in a log; by default, those of our own messages."""
 
-    Parameters
-    ----------
-    currents, voltages : PhaseSource
-        Measured phase currents, A, and commanded phase voltages, V.
-    reference : ReferenceSource or None
-        Optional in the log even when it is given here.
-    optional : dict of str to ScalarSource
-        DC-link voltage, winding and magnet temperature and shaft torque, by their names in
-        :class:`~drive_id.types.Samples`; each may be missing in the log.
-    typestore : str
-        ROS distribution whose message definitions are used for bags that carry none.
-    definitions : dict of str to str
-        More message definitions, type name to ``.msg`` text, for bags that carry none.
-    """
-
-    currents: PhaseSource = field(default_factory=lambda: _our_phases("phase_currents"))
-    voltages: PhaseSource = field(default_factory=lambda: _our_phases("phase_voltages"))
+    currents: PhaseSource = field(default_factory=lambda: _our_phases("phase_currents"))  # measured, A
+    voltages: PhaseSource = field(default_factory=lambda: _our_phases("phase_voltages"))  # commanded, V
     resolver: RotorSource = field(
         default_factory=lambda: RotorSource("resolver", **_OURS, angle="angle", speed="speed")
     )
     reference: ReferenceSource | None = field(default_factory=lambda: ReferenceSource("current_reference", **_OURS))
+    """Optional in the log even when it is given here."""
     optional: dict[str, ScalarSource] = field(default_factory=lambda: {name: our_scalar(name) for name in SCALARS})
+    """By their names in :class:`~drive_id.types.Samples`; each may be missing in the log."""
     typestore: str = "jazzy"
+    """ROS distribution whose message definitions are used for bags that carry none."""
     definitions: dict[str, str] = field(default_factory=dict)
+    """More message definitions, type name to ``.msg`` text, for bags that carry none."""
 
     def sources(self) -> dict[str, TimeSource]:
         """Return the sources by name of their section, or of the optional signal."""

@@ -17,7 +17,7 @@ import yaml
 
 from drive_id.errors import ConfigurationError
 from drive_id.files.inputs.input_file import read_text_input, reason
-from drive_id.files.inputs.yaml_tree import check_node, check_text
+from drive_id.files.inputs.yaml_tree import load_yaml
 from drive_id.files.messages.signal_sources import (
     BY_DC_LINK,
     TYPESTORES,
@@ -128,17 +128,17 @@ def _combined(entry: Any, section: str) -> Any:
     """Return a linear combination for a mapping of fields to factors, and anything else as it is."""
     if not isinstance(entry, dict):
         return entry
-    good = all(
-        isinstance(path, str) and isinstance(factor, (int, float)) and not isinstance(factor, bool)
-        and math.isfinite(factor) and factor
-        for path, factor in entry.items()
-    )  # fmt: skip
-    if not good or not entry:
+    try:
+        terms = tuple((path, float(factor)) for path, factor in entry.items() if not isinstance(factor, bool))
+    except (TypeError, ValueError, OverflowError):
+        terms = ()
+    good = all(isinstance(path, str) and math.isfinite(factor) and factor for path, factor in terms)
+    if not good or not terms or len(terms) < len(entry):
         raise ConfigurationError(
             f"fields in {section} holds {entry!s:.80}: a linear combination is {{field: factor, ...}} with factors "
             "other than zero."
         )
-    return Combination(tuple((path, float(factor)) for path, factor in entry.items()))
+    return Combination(terms)
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
@@ -188,42 +188,24 @@ def _definitions(tree: Any, where: str) -> dict[str, str]:
     return dict(tree)
 
 
-class _Loader(yaml.SafeLoader):
-    """YAML with floats as everyone writes them: ``1e-4`` is a number."""
-
-
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(
-        r"[-+]?(?:\d+\.?\d*|\.\d+)[eE][-+]?\d+|[-+]?(?:\d+\.\d*|\.\d+)|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
-    ),
-    list("-+0123456789."),
-)
-
-
 def _parsed_yaml(text: str, where: str) -> tuple[dict[str, Any], dict[str, int]]:
     """Return the top-level mapping and the line of each of its sections; refuses keys that are given twice."""
-    loader = None
-    try:
-        check_text(text, _MOST_ENTRIES)
-        loader = _Loader(text)
-        node = loader.get_single_node()
-        if node is not None:
-            check_node(node, _MOST_ENTRIES)
-        lines: dict[str, int] = {}
+    lines: dict[str, int] = {}
+
+    def look(node: yaml.Node) -> None:
         if isinstance(node, yaml.MappingNode):
-            lines = {str(key.value): key.start_mark.line + 1 for key, _ in node.value}
+            lines.update((str(key.value), key.start_mark.line + 1) for key, _ in node.value)
             _refuse_duplicates(node, where)
-        tree = loader.construct_document(node) if node is not None else {}
+
+    try:
+        tree = load_yaml(text, _MOST_ENTRIES, look)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         if isinstance(error, ValueError) and not isinstance(error, UnicodeError):
             raise ConfigurationError(f"{where} cannot be read as YAML ({error}): correct it.") from error
         mark = getattr(error, "problem_mark", None)
         line = f" in line {mark.line + 1}" if mark else ""
         raise ConfigurationError(f"{where} is not YAML{line}: correct its indentation and punctuation.") from error
-    finally:
-        if loader is not None:
-            loader.dispose()
+    tree = {} if tree is None else tree
     if not isinstance(tree, dict):
         raise ConfigurationError(f"{where} is not a mapping: it needs the sections currents, voltages and resolver.")
     return {str(key): value for key, value in tree.items()}, lines

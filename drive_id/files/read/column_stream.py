@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,22 +19,6 @@ from drive_id.files.messages.message_reader import MessageSamples, ticks_to_ns
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.read.extraction import LogSignals
 from drive_id.files.storage.container import TopicInfo
-from drive_id.messages import Message
-
-
-@dataclass(frozen=True)
-class ColumnFile:
-    """What stands for the bag of a log of columns: its file, without warnings."""
-
-    path: Path
-    checked = False
-    """Whether checksums cover the samples."""
-    warnings: ClassVar[tuple[Message, ...]] = ()
-
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """The file itself."""
-        return (self.path,)
 
 
 @dataclass(frozen=True)
@@ -73,8 +57,8 @@ class ColumnStream(LogSignals):
                 self._sections[name] = _located(log, source, name)
         sources = {name: section.source for name, section in self._sections.items()}
         names = {name: f"{name} ({', '.join(source.paths)})" for name, source in sources.items()}
-        super().__init__(log.path, signals, sources, names, signals.needed)
-        self.topics = {name: TopicInfo(shown, log.kind, None, "") for name, shown in names.items()}
+        topics = {name: TopicInfo(shown, log.kind, None, "") for name, shown in names.items()}
+        super().__init__(log.path, signals, sources, topics, signals.needed)
         self._share = 0.0
 
     def _pieces(self) -> Iterator[tuple[str, MessageSamples]]:
@@ -86,7 +70,7 @@ class ColumnStream(LogSignals):
                     piece = _piece(rows, section)
                 except (FieldPathError, ValueError, TypeError) as error:
                     raise MessageTypeError(
-                        f"{self._names[name]} in {self._path} cannot be read ({error}): name other columns."
+                        f"{self.topics[name].name} in {self._path} cannot be read ({error}): name other columns."
                     ) from error
                 if len(piece.columns[0]):
                     yield name, piece
@@ -114,7 +98,6 @@ def largest_reference(path: Path, signals: SignalMap) -> float | None:
 
 
 def _located(log: ColumnLog, source: TimeSource, name: str) -> _Section:
-    """Find the columns of a section."""
     values = tuple(find_column(log, path, source.group, name) for path in source.paths)
     group = next(entry for entry in log.groups if entry.name == values[0].group)
     stamp: Column | None = None

@@ -43,7 +43,8 @@ class SignalPart(NamedTuple):
 class LogSignals:
     """The signals of one drive in an open log; its kinds say how the samples are read.
 
-    ``sources``, and ``names`` of topic or columns, are by section of the signal map; ``required`` must hold samples.
+    ``sources``, and ``topics`` or what stands for them, are by section of the signal map; ``required`` must hold
+    samples.
     """
 
     def __init__(
@@ -51,16 +52,16 @@ class LogSignals:
         path: Path,
         signals: SignalMap,
         sources: dict[str, TimeSource],
-        names: dict[str, str],
+        topics: dict[str, TopicInfo],
         required: Iterable[str],
     ) -> None:
         self._path = path
         self._signals = signals
         self._sources = sources
-        self._names = names
+        self.topics = topics
         self._required = [section for section in required if section not in INTERPOLATED]
         self._builders = {
-            section: SignalBuilder(names[section], section, source) for section, source in sources.items()
+            section: SignalBuilder(topics[section].name, section, source) for section, source in sources.items()
         }
 
     @property
@@ -123,8 +124,8 @@ class LogSignals:
         for section in self._required:
             if section not in seen:
                 raise EmptyTopicError(
-                    f"{self._names[section]} in {self._path} holds no sample: record again while the drive publishes "
-                    "it, or name another source in a signals file."
+                    f"{self.topics[section].name} in {self._path} holds no sample: record again while the drive "
+                    "publishes it, or name another source in a signals file."
                 )
 
     def _built(self, pieces: dict[str, list[MessageSamples]]) -> dict[str, Signal]:
@@ -148,9 +149,8 @@ class SignalStream(LogSignals):
 
     def __init__(self, bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) -> None:
         sources = {section: source for section, source in signals.sources().items() if section in topics}
-        super().__init__(bag.path, signals, sources, {name: topic.name for name, topic in topics.items()}, sources)
+        super().__init__(bag.path, signals, sources, topics, sources)
         self._bag = bag
-        self._topics = topics
         self._refuse_empty({section for section in sources if topics[section].count != 0})
         self._readers: dict[str, list[tuple[str, Reader]]] = defaultdict(list)
         for section, source in sources.items():
@@ -165,7 +165,7 @@ class SignalStream(LogSignals):
                     said = (str(error) or type(error).__name__).split("\n")[0][:200]
                     raise MessageTypeError(
                         f"A message on {message.topic} of {self._path}, logged at {message.log_time} ns, cannot be "
-                        f"read as {self._topics[section].type_name} ({said}): name the right fields in a signals file."
+                        f"read as {self.topics[section].type_name} ({said}): name the right fields in a signals file."
                     ) from error
                 if len(piece.columns[0]):
                     yield section, piece
@@ -275,7 +275,6 @@ class SignalBuilder:
         return self.period
 
     def _check_periods(self, pieces: list[MessageSamples]) -> None:
-        """Check that all messages declare the same period."""
         if not self._begun:
             self.period, self._begun = pieces[0].sample_period, True
         for piece in pieces:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,10 +86,7 @@ def _names_time(path: Path, signals: SignalMap) -> bool:
 
 def _numbered(signals: SignalMap) -> SignalMap:
     """Take the number of the row as its time, for all sections alike."""
-
-    def numbered(entry: Any) -> Any:
-        return replace(entry, stamp="index", sample_period=1.0)
-
+    numbered: Any = partial(replace, stamp="index", sample_period=1.0)
     rows = {name: numbered(getattr(signals, name)) for name in ("currents", "voltages", "resolver")}
     return replace(signals, **rows, optional={name: numbered(entry) for name, entry in signals.optional.items()})
 

@@ -14,12 +14,13 @@ from drive_id.core.signals.held_references import HeldReferences
 from drive_id.core.signals.join import SECTIONS, JoinResult, Piece, StreamJoin, join
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
+from drive_id.files.logs.column_log import ColumnLog
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.logs.open_log import open_log
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.files.messages.messages import SCALAR_SAMPLES
 from drive_id.files.messages.signals_file import SignalMap, our_scalar
-from drive_id.files.read.column_stream import ColumnFile, ColumnStream
+from drive_id.files.read.column_stream import ColumnStream
 from drive_id.files.read.conversion import conversions, rotor_at_currents, undecimated
 from drive_id.files.read.extraction import INTERPOLATED, LogSignals, SignalPart, SignalStream, UnusualError
 from drive_id.files.read.info import printable_errors
@@ -45,9 +46,9 @@ def read_signals_only(
     Returns them by section, the sha256 of each file, and warnings. Raises BagError, DataError or ConfigurationError, as
     :func:`~drive_id.files.read.several.read_recording` does.
     """
-    with _opened(path, signals, namespace, angle=False) as (bag, _, _, stream):
+    with _opened(path, signals, namespace, angle=False) as (log, _, stream):
         found = stream.whole()
-        return found, {str(file): file_digest(file) for file in bag.files}, (*bag.warnings, *stream.remarks())
+        return found, {str(file): file_digest(file) for file in log.files}, (*log.warnings, *stream.remarks())
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,44 +72,31 @@ def bag_pieces(
 ) -> Iterator[Piece]:
     """Yield the joined samples of a bag in order of time, in bounded memory.
 
-    Parameters
-    ----------
-    whole : bool
-        Read all of the bag before joining, for those that raise UnusualError otherwise.
-    threads : bool
-        Read, unpack and join ahead in other threads.
-    tell : callable
-        Called with the part of the bag that has been read, 0 to 1.
-    end : callable
-        Called with what is known when all of it has been read.
+    ``whole`` reads all of the bag before joining, for those that raise UnusualError otherwise; with ``threads``, others
+    read, unpack and join ahead. ``tell`` is called with the part of the bag that has been read, 0 to 1, and ``end``
+    with what is known when all of it has been read.
 
-    Raises
-    ------
-    UnusualError
-        When the bag must be read as a whole; discard the pieces yielded so far.
-    BagError, DataError, ConfigurationError
-        See :func:`~drive_id.files.read.several.read_recording`.
+    Raises UnusualError when the bag must be read as a whole: discard the pieces yielded so far. For the other errors,
+    see :func:`~drive_id.files.read.several.read_recording`.
     """
-    with _opened(path, signals, namespace) as (bag, topics, truth, stream):
+    with _opened(path, signals, namespace) as (log, truth, stream):
         if whole or not stream.continuous:
             result = _joined_at_once(path, stream, signals)
             warnings = list(result.report.warnings)
             yield Piece(result.samples, False)
         else:
             warnings = []
-            with closing(
-                prefetched(_joined(path, stream, signals, topics, warnings, threads), _AHEAD, threads)
-            ) as pieces:
+            with closing(prefetched(_joined(path, stream, signals, warnings, threads), _AHEAD, threads)) as pieces:
                 for piece, progress in pieces:
                     yield piece
                     tell(progress)
-        end(BagFacts(truth, (*bag.warnings, *warnings), bag.checked))
+        end(BagFacts(truth, (*log.warnings, *warnings), log.checked))
 
 
 @contextmanager
 def _opened(
     path: Path, signals: SignalMap, namespace: str, *, angle: bool = True
-) -> Iterator[tuple[Bag | ColumnFile, dict[str, TopicInfo], GroundTruth | None, LogSignals]]:
+) -> Iterator[tuple[Bag | ColumnLog, GroundTruth | None, LogSignals]]:
     if angle and not signals.resolver.angle:
         raise ConfigurationError(
             "Section 'resolver' of the signals file names no angle: name it, or fit with --method static, which needs "
@@ -116,14 +104,13 @@ def _opened(
         )
     if log_kind(path):
         with printable_errors(), open_log(path) as log:
-            columns = ColumnStream(log, signals)
-            yield ColumnFile(path), columns.topics, None, columns
+            yield log, None, ColumnStream(log, signals)
         return
     with printable_errors(), open_bag(path) as bag:
         topics = find_topics(bag, signals, namespace)
         data = bag.attachment(TRUTH_ATTACHMENT)
         truth = None if data is None else decode_truth(data, str(path))
-        yield bag, topics, truth, SignalStream(bag, signals, topics)
+        yield bag, truth, SignalStream(bag, signals, topics)
 
 
 def _joined_at_once(path: Path, stream: LogSignals, signals: SignalMap) -> JoinResult:
@@ -153,14 +140,10 @@ def _naming(path: Path) -> Iterator[None]:
 
 
 def _joined(
-    path: Path,
-    stream: LogSignals,
-    signals: SignalMap,
-    topics: dict[str, TopicInfo],
-    warnings: list[Message],
-    threads: bool,
+    path: Path, stream: LogSignals, signals: SignalMap, warnings: list[Message], threads: bool
 ) -> Generator[tuple[Piece, float], None, None]:
     """Yield joined samples with the part of the bag that was read for them; add the warnings at the end."""
+    topics = stream.topics
     names = (topics["currents"].name, topics["voltages"].name, topics["resolver"].name)
     references = _References()
     joining = StreamJoin(
@@ -291,10 +274,9 @@ def prefetched(items: Generator[Item, None, None], ahead: int, threads: bool = T
 
     Errors in that thread are raised here. Close the generator to end the thread.
     """
-    return _prefetched(items, ahead) if threads else items
-
-
-def _prefetched(items: Generator[Item, None, None], ahead: int) -> Generator[Item, None, None]:
+    if not threads:
+        yield from items
+        return
     with ThreadPoolExecutor(1, "reader") as pool:
         waiting = deque(pool.submit(next, items, None) for _ in range(ahead))
         try:

@@ -143,7 +143,6 @@ class SeveralBags:
             tell(1.0)
 
     def _tell_share(self, what: str, share: float) -> None:
-        """Tell the share of the current bag that has been read."""
         elapsed = time.monotonic() - self._start
         if self.samples >= _LONG and elapsed:
             what = f"{what}, {self.samples / elapsed * 1e-6:.2f} million samples/s"

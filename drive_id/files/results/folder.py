@@ -11,7 +11,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from drive_id.errors import OutputError
-from drive_id.files.inputs.input_file import read_text_input
+from drive_id.files.inputs.input_file import open_input, read_text_input
 from drive_id.files.storage.durable import exchanged, make_folder, sync_folder, write_synced
 
 FORMAT = "drive_id/identification"
@@ -19,6 +19,8 @@ MARKER = "identification.json"
 """The file by which a folder is known as a result of a fit, and the format that it names."""
 LARGEST_MARKER = 1 << 23
 """Bytes."""
+_INFORMATION, _ZIP_MAGIC = ".info", b"PK"
+"""Suffix and beginning of an information file."""
 _STAGED = ".drive_id-"
 """How the names of folders begin in which files are written before they are put in their place."""
 
@@ -184,6 +186,17 @@ def _refused(path: Path, error: OSError) -> OutputError:
 def is_result(path: Path) -> bool:
     """Tell whether a path is meant as the result folder of a fit, readable or not."""
     return (path / MARKER).is_file()
+
+
+def is_information(path: Path) -> bool:
+    """Tell whether a path names an information file, readable or not; anything else may be a bag."""
+    try:
+        if not path.is_file():
+            return path.suffix == _INFORMATION and not path.exists()
+        with open_input(path) as file:
+            return path.suffix == _INFORMATION or file.read(2) == _ZIP_MAGIC
+    except (OSError, ValueError):
+        return False
 
 
 def is_ours(marker: Path, kind: str = FORMAT) -> bool:

@@ -9,7 +9,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from drive_id.errors import BagError, MessageCountError, MessageTypeError, NotABagError, TruncatedBagError
@@ -26,6 +26,7 @@ from drive_id.files.storage.container import (
     decompress,
     file_size,
     has_checksum,
+    merged_topics,
     read_magic,
     unpack_file,
 )
@@ -101,21 +102,14 @@ class Bag:
         return next((data for data in found if data is not None), None)
 
     def _merged_topics(self) -> dict[str, TopicInfo]:
-        merged: dict[str, TopicInfo] = {}
+        merged = merged_topics(topic for storage in self.storages for topic in storage.topics)
         for storage in self.storages:
             for topic in storage.topics:
-                before = merged.get(topic.name)
-                if before is None:
-                    merged[topic.name] = topic
-                    continue
-                if before.type_name != topic.type_name:
+                if topic.type_name != merged[topic.name].type_name:
                     raise MessageTypeError(
-                        f"{topic.name} has type {before.type_name} in one file of {self.path} and {topic.type_name} in "
-                        "another: give the files one by one."
+                        f"{topic.name} has type {merged[topic.name].type_name} in different files of {self.path}: give "
+                        "the files one by one."
                     )
-                known = before.count is not None and topic.count is not None
-                count = (before.count or 0) + (topic.count or 0) if known else None
-                merged[topic.name] = replace(before, count=count, definition=before.definition or topic.definition)
         for name, type_name in self.metadata.types.items() if self.metadata else ():
             if name in merged and merged[name].type_name not in (type_name, ""):
                 raise MessageTypeError(

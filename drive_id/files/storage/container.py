@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
 
@@ -46,6 +46,23 @@ class TopicInfo:
     encoding: str  # of the messages: cdr, ros1 and json can be read
     definition_format: str = ""  # such as ros2msg or ros2idl
     definition: str = ""  # complete message definition, or empty
+
+
+def merged_topics(topics: Iterable[TopicInfo]) -> dict[str, TopicInfo]:
+    """Return topics by name: counts of the same name are added, and different types joined by ``and``."""
+    found: dict[str, TopicInfo] = {}
+    for topic in topics:
+        before = found.setdefault(topic.name, topic)
+        if before is topic:
+            continue
+        same = before.type_name == topic.type_name
+        found[topic.name] = replace(
+            before,
+            type_name=before.type_name if same else f"{before.type_name} and {topic.type_name}",
+            count=None if before.count is None or topic.count is None else before.count + topic.count,
+            definition=before.definition or topic.definition,
+        )
+    return found
 
 
 class RawMessage(NamedTuple):

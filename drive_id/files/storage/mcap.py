@@ -35,6 +35,7 @@ from drive_id.files.storage.container import (
     file_size,
     full_type,
     has_checksum,
+    merged_topics,
 )
 from drive_id.messages import Message
 
@@ -297,7 +298,7 @@ class McapStorage(Storage):
         except BaseException:
             self._file.close()
             raise
-        self.topics = self._topic_infos()
+        self.topics = tuple(merged_topics(self._topic_infos()).values())
         self.compression = "+".join(sorted(self._compressions - {""}))
 
     def close(self) -> None:
@@ -425,24 +426,14 @@ class McapStorage(Storage):
         finally:
             self._counts = counts
 
-    def _topic_infos(self) -> tuple[TopicInfo, ...]:
-        infos: dict[str, TopicInfo] = {}
+    def _topic_infos(self) -> Iterator[TopicInfo]:
         for key, channel in self._channels.items():
             schema = self._schemas.get(channel.schema_id, _NO_SCHEMA)
-            before = infos.get(channel.topic)
-            count = None if self._counts is None else self._counts[key] + ((before.count or 0) if before else 0)
-            name = full_type(schema.name)
-            if before is not None and before.type_name != name:
-                name = f"{before.type_name} and {name}"
-            infos[channel.topic] = TopicInfo(
-                channel.topic,
-                name,
-                count,
-                channel.message_encoding,
-                schema.encoding,
-                schema.data.decode(errors="replace"),
+            count = None if self._counts is None else self._counts[key]
+            text = schema.data.decode(errors="replace")
+            yield TopicInfo(
+                channel.topic, full_type(schema.name), count, channel.message_encoding, schema.encoding, text
             )
-        return tuple(infos.values())
 
     # -- records ---------------------------------------------------------------------------------------------------
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import yaml
 
 from drive_id.errors import NotABagError
-from drive_id.files.inputs.input_file import check_input, read_text_input, reason
+from drive_id.files.inputs.input_file import read_text_input, reason
 from drive_id.files.inputs.yaml_tree import load_yaml
 from drive_id.files.storage.container import full_type
 from drive_id.files.storage.durable import sync_folder, write_synced
@@ -37,9 +36,7 @@ def read_metadata(path: Path) -> BagMetadata:
     """Read ``metadata.yaml`` of rosbag2, any version; raises NotABagError, which names what is wrong."""
     advice = "rewrite it with 'ros2 bag reindex', or remove it to read the files without it."
     try:
-        check_input(path, _LARGEST)
-        state = path.stat()
-        return _parsed(path, state.st_mtime_ns, state.st_size)
+        return _parsed(path)
     except OSError as error:
         raise NotABagError(f"{path} cannot be read ({reason(error)}): {advice}") from error
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
@@ -47,9 +44,7 @@ def read_metadata(path: Path) -> BagMetadata:
         raise NotABagError(f"{path} is damaged ({said}): {advice}") from error
 
 
-@lru_cache(maxsize=8)
-def _parsed(path: Path, _time: int, _size: int) -> BagMetadata:
-    """Parse the file once as long as it does not change: PyYAML takes longer than reading some seconds of samples."""
+def _parsed(path: Path) -> BagMetadata:
     tree = load_yaml(read_text_input(path, _LARGEST))
     information = _item(tree, "rosbag2_bagfile_information", dict)
     files = _item(information, "relative_file_paths", list)

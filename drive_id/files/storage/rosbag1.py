@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import struct
-from collections import defaultdict
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rosbags.rosbag1 import Reader, ReaderError
 
-from drive_id.errors import MessageTypeError, TruncatedBagError
-from drive_id.files.storage.container import RawMessage, Storage, TopicInfo
-
-if TYPE_CHECKING:
-    from rosbags.interfaces import Connection
+from drive_id.errors import TruncatedBagError
+from drive_id.files.storage.container import RawMessage, Storage, TopicInfo, merged_topics
 
 _ERRORS = (ReaderError, ValueError, KeyError, IndexError, AssertionError, OSError, EOFError, RuntimeError, struct.error)
 
@@ -30,25 +25,12 @@ class Rosbag1Storage(Storage):
         with self._one_sentence():
             self._reader = Reader(path)
             self._reader.open()
-        connections: dict[str, list[Connection]] = defaultdict(list)
-        for connection in self._reader.connections:
-            connections[connection.topic].append(connection)
-        for topic, members in connections.items():
-            if len({member.msgtype for member in members}) > 1:
-                self.close()
-                raise MessageTypeError(f"{topic} has several types in {shown}: divide the bag.")
         self.topics = tuple(
-            TopicInfo(
-                topic,
-                members[0].msgtype,
-                sum(member.msgcount for member in members),
-                "ros1",
-                "ros1msg",
-                members[0].msgdef.data,
-            )
-            for topic, members in connections.items()
+            merged_topics(
+                TopicInfo(found.topic, found.msgtype, found.msgcount, "ros1", "ros1msg", found.msgdef.data)
+                for found in self._reader.connections
+            ).values()
         )
-        self._connections = connections
         count = self._reader.message_count
         self.start = self._reader.start_time if count else 0
         self.end = self._reader.end_time if count else 0
@@ -61,10 +43,10 @@ class Rosbag1Storage(Storage):
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
         """Yield the messages of ``topics`` in order of arrival."""
-        wanted = [member for topic in topics for member in self._connections.get(topic, ())]
+        wanted = [connection for connection in self._reader.connections if connection.topic in topics]
         if not wanted:
             return
-        self._count, self._done = sum(member.msgcount for member in wanted), 0
+        self._count, self._done = sum(connection.msgcount for connection in wanted), 0
         with self._one_sentence():
             for connection, stamp, data in self._reader.messages(wanted):
                 self._done += 1

@@ -12,7 +12,15 @@ from urllib.parse import quote
 
 from drive_id.errors import MessageCountError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import open_input, shown_size
-from drive_id.files.storage.container import LARGEST_CHUNK, RawMessage, Storage, TopicInfo, file_size, full_type
+from drive_id.files.storage.container import (
+    LARGEST_CHUNK,
+    RawMessage,
+    Storage,
+    TopicInfo,
+    file_size,
+    full_type,
+    merged_topics,
+)
 
 _SQL_ERRORS = (sqlite3.Error, OSError, UnicodeDecodeError, OverflowError, MemoryError)
 _MOST_TOPICS = 1 << 16  # more are damage
@@ -123,12 +131,12 @@ class SqliteStorage(Storage):
         if "message_definitions" in tables:
             query = "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
             definitions = {str(name): (str(form), str(text)) for name, form, text in self._database.execute(query)}
-        infos: dict[str, TopicInfo] = {}
-        for key, name, type_name, encoding in rows:
-            before = infos[name].count or 0 if name in infos else 0
-            form, text = definitions.get(type_name, ("", ""))
-            infos[name] = TopicInfo(name, full_type(type_name), before + counts.get(key, 0), encoding, form, text)
-        self.topics = tuple(infos.values())
+        self.topics = tuple(
+            merged_topics(
+                TopicInfo(name, full_type(kind), counts.get(key, 0), encoding, *definitions.get(kind, ("", "")))
+                for key, name, kind, encoding in rows
+            ).values()
+        )
         first, last = self._database.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
         if isinstance(first, int) and isinstance(last, int):
             self.start, self.end = first, last

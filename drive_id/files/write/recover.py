@@ -37,15 +37,11 @@ class Recovery:
 def recover_bag(path: Path, output: Path | None = None) -> Recovery:
     """Write what can be read of an MCAP recording as a new, complete one; the original is not changed.
 
+    ``path`` is a storage file or a folder, whose ``metadata.yaml`` is ignored; the folder ``output``, by default beside
+    it with ``_recovered`` appended, appears whole or not at all.
+
     Raises NotABagError when it is no MCAP recording, EmptyTopicError when there is no message to recover, OutputError
     when the output exists or cannot be written.
-
-    Parameters
-    ----------
-    path : Path
-        Storage file or folder; its ``metadata.yaml`` is ignored.
-    output : Path, optional
-        Folder to create; default: beside ``path``, with ``_recovered`` appended. It appears whole or not at all.
     """
     files = present_files(path)
     absolute = path.absolute()

@@ -16,7 +16,7 @@ from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any, BinaryIO, NamedTuple, cast
+from typing import IO, TYPE_CHECKING, Any, BinaryIO, cast
 
 import yaml
 from mcap.opcode import Opcode
@@ -94,14 +94,8 @@ class McapStream:
         self._stream.close()
 
 
-class _CompleteFile(NamedTuple):
-    path: Path
-    entry: FileEntry
-    size: int
-
-
-class _OpenFile:
-    """The file being written; see :class:`Rosbag2McapWriter`. All methods raise OSError when the disk refuses."""
+class _File:
+    """A file being written, or complete. All methods raise OSError when the disk refuses."""
 
     def __init__(self, path: Path, *, chunk_size: int, compression: str, live: bool, opener: FileOpener) -> None:
         self.path = path
@@ -165,6 +159,7 @@ class _OpenFile:
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._stream.sync()
         self._stream.close()
+        del self._writer  # and the index that it holds
         self.finished = True
 
     def end_early(self) -> None:
@@ -213,11 +208,11 @@ class Rosbag2McapWriter:
         opener: FileOpener = open_unbuffered,
     ) -> None:
         self.path = path
-        self._new_file = partial(_OpenFile, chunk_size=chunk_size, compression=compression, live=live, opener=opener)
+        self._new_file = partial(_File, chunk_size=chunk_size, compression=compression, live=live, opener=opener)
         self._distro = ros_distro
         self._topics: dict[str, TopicEntry] = {}
         self._sequence: Counter[str] = Counter()
-        self._earlier: list[_CompleteFile] = []
+        self._files: list[_File] = []
         self._closed = False
         with _refusal(path):
             try:
@@ -227,7 +222,7 @@ class Rosbag2McapWriter:
             try:
                 if live:
                     (path / _RESERVE).write_bytes(bytes(_RESERVE_SIZE))
-                self._file = self._open_file(0)
+                self._open_file()
             except OSError:
                 self._free_reserve()
                 with suppress(OSError):
@@ -235,8 +230,8 @@ class Rosbag2McapWriter:
                 raise
 
     @property
-    def _files(self) -> list[_CompleteFile | _OpenFile]:
-        return [*self._earlier, self._file]
+    def _file(self) -> _File:
+        return self._files[-1]
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -294,10 +289,8 @@ class Rosbag2McapWriter:
         """Complete the file being written and continue in a new one."""
         with _refusal(self.path):
             self._finish_file(None)
-            file = self._open_file(len(self._earlier) + 1)
+            self._open_file()
         self._unsynced.add(self.path)
-        self._earlier.append(_CompleteFile(self._file.path, self._file.entry, self._file.size))
-        self._file = file
 
     def close(self, custom: Mapping[str, str] | None = None) -> None:
         """Complete the recording: index, end mark and ``metadata.yaml``.
@@ -352,11 +345,11 @@ class Rosbag2McapWriter:
             if not self._closed:
                 self.abandon()
 
-    def _open_file(self, number: int) -> _OpenFile:
-        file = self._new_file(self.path / f"{self.path.name}_{number}.mcap")
+    def _open_file(self) -> None:
+        file = self._new_file(self.path / f"{self.path.name}_{len(self._files)}.mcap")
         for topic in self._topics.values():
             file.add_topic(topic)
-        return file
+        self._files.append(file)
 
     def _finish_file(self, custom: Mapping[str, str] | None) -> None:
         if self._file.finished:

@@ -19,6 +19,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.errors import InformationError, OutputError
 from drive_id.files.results import folder, information
+from drive_id.files.results.folder import is_information
 from drive_id.files.results.information import (
     FORMAT_VERSION,
     check_information_output,
@@ -27,7 +28,6 @@ from drive_id.files.results.information import (
     read_information,
     write_information,
 )
-from drive_id.files.results.information_name import is_information
 from drive_id.messages import Message
 
 

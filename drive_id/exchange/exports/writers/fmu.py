@@ -61,22 +61,13 @@ def _variables(resistance: float, celsius: float) -> list[_Variable]:
     ]
 
 
-def write_2(table: MapTable, options: ExportOptions) -> bytes:
-    """Write an FMU of FMI 2.0, see :func:`write_3`."""
-    return _fmu(table, options, 2)
-
-
-def write_3(table: MapTable, options: ExportOptions) -> bytes:
-    """Write an FMU of FMI 3.0: description, sources, and a library for this computer where it has a C compiler.
+def write(table: MapTable, options: ExportOptions, version: int = 3) -> bytes:
+    """Write an FMU of FMI 2.0 or 3.0: description, sources, and a library for this computer where it has a C compiler.
 
     The map is continued where there are no data; its harmonics and the iron loss are not included.
 
     Raises ConfigurationError when pole pairs or resistance are unknown, or the compiler fails.
     """
-    return _fmu(table, options, 3)
-
-
-def _fmu(table: MapTable, options: ExportOptions, version: int) -> bytes:
     table.machine.known_pole_pairs()
     held = table.result.provenance.temperature
     variables = _variables(table.known_resistance(), 20.0 if held is None else held)

@@ -52,7 +52,7 @@ def main() -> None:
 def measured(result: Identification) -> str:
     """Return a table of code size (bytes) and instructions per call of each function."""
     axis = np.linspace(-result.i_max, result.i_max, _POINTS)
-    options = ExportOptions(bandwidth=6000.0, sample_period=1e-4)
+    options = ExportOptions(bandwidth=950.0, sample_period=1e-4)
     header, _ = content_of(result, "c-header", TableChoice(axis, axis), options)
     lines = ["| function | code, bytes | instructions per call | cycles, about |", "|---|---:|---:|---:|"]
     with tempfile.TemporaryDirectory() as place:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import difflib
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 
@@ -29,7 +30,7 @@ class ExportFormat:
     grid : bool
         Whether it holds tables over the current plane; False for a few numbers.
     gaps : str
-        What becomes of points without data.
+        What becomes of points without data; empty: they always hold the continuation of the map.
     """
 
     title: str
@@ -56,9 +57,9 @@ EXPORTS: Mapping[str, ExportFormat] = {
     "powertrain-controller": ExportFormat(
         "Powertrain Blockset flux-based PM controller", ".mat", matlab.write_powertrain_controller
     ),
-    "c-header": ExportFormat("C99 header with its reader", ".h", c_header.write),
-    "fmu": ExportFormat("FMU of FMI 3.0 with its C sources", ".fmu", fmu.write_3, gaps="they hold a continuation"),
-    "fmu-2": ExportFormat("FMU of FMI 2.0 with its C sources", ".fmu", fmu.write_2, gaps="they hold a continuation"),
+    "c-header": ExportFormat("C99 header with its reader", ".h", c_header.write, gaps=""),
+    "fmu": ExportFormat("FMU of FMI 3.0 with its C sources", ".fmu", fmu.write_3, gaps=""),
+    "fmu-2": ExportFormat("FMU of FMI 2.0 with its C sources", ".fmu", fmu.write_2, gaps=""),
     "plecs": ExportFormat("PLECS non-excited synchronous machine", ".mat", matlab.write_plecs),
     "modelica": ExportFormat("Modelica CombiTable2D", ".txt", text.write_modelica),
     "vesc": ExportFormat("VESC motor configuration", ".xml", controllers.write_vesc, grid=False),
@@ -96,7 +97,7 @@ def export_format(name: str) -> ExportFormat:
     Raises
     ------
     ConfigurationError
-        When there is none of this name, and the message lists all; or when that of another package is none.
+        When there is none of this name, and the message tells which are near; or when that of another package is none.
     """
     plain = name.lower().replace("_", "-").replace(" ", "-")
     known = ALIASES.get(plain, plain)
@@ -104,8 +105,21 @@ def export_format(name: str) -> ExportFormat:
         return EXPORTS[known]
     others = {entry.name: entry for entry in entry_points(group=GROUP)}
     if known not in others:
-        raise ConfigurationError(f"There is no export format '{name}': choose {', '.join([*EXPORTS, *others])}.")
+        raise ConfigurationError(f"There is no export format '{name}': {_instead(plain, others)}.")
     found = others[known].load()
     if not isinstance(found, ExportFormat):
         raise ConfigurationError(f"The export format '{known}' ({others[known].value}) is no ExportFormat.")
     return found
+
+
+def _instead(name: str, others: Iterable[str]) -> str:
+    """Say what may be meant: the formats of files of this kind, the nearest name, or else all names by kind of file."""
+    kinds: dict[str, list[str]] = {}
+    for known, format_ in EXPORTS.items():
+        kinds.setdefault(format_.suffix, []).append(known)
+    if of_kind := kinds.get(".mat" if name == "matlab" else f".{name.removeprefix('.')}"):
+        return f"files of this kind can be {', '.join(of_kind)}; choose one by the tool that reads it"
+    if near := difflib.get_close_matches(name, [*EXPORTS, *ALIASES, *others], 1):
+        return f"did you mean {ALIASES.get(near[0], near[0])}"
+    listed = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds.items())
+    return f"choose {listed}" + "".join(f", {other}" for other in others)

@@ -17,7 +17,7 @@ class ExportOptions:
     leakage_inductance : float
         L_sigma of the stator, H, which PLECS wants apart from the flux linkages of the air gap.
     bandwidth : float
-        Of the current controllers for VESC, ODrive and C, rad/s.
+        Of the current controllers for VESC, ODrive and C, Hz.
     sample_period : float, optional
         Of the current controllers, s, for C: the delay then limits the bandwidth.
     phase_margin : float
@@ -30,15 +30,20 @@ class ExportOptions:
     """
 
     leakage_inductance: float = 0.0
-    bandwidth: float = 1000.0
+    bandwidth: float = 160.0
     sample_period: float | None = None
     phase_margin: float = 60.0
+
+    @property
+    def rate(self) -> float:
+        """The bandwidth, rad/s."""
+        return 2 * math.pi * self.bandwidth
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.leakage_inductance) and self.leakage_inductance >= 0):
             raise ConfigurationError(f"--leakage is {self.leakage_inductance} H: it must not be negative.")
         if not (math.isfinite(self.bandwidth) and self.bandwidth > 0):
-            raise ConfigurationError(f"--bandwidth is {self.bandwidth} rad/s: it must be positive.")
+            raise ConfigurationError(f"--bandwidth is {self.bandwidth} Hz: it must be positive.")
         if self.sample_period is not None and not (math.isfinite(self.sample_period) and self.sample_period > 0):
             raise ConfigurationError(f"--sample-period is {self.sample_period} s: it must be positive.")
         if not 0 < self.phase_margin < 90:

@@ -15,7 +15,7 @@ from drive_id.quantity import plain
 _MOST_POINTS = 2000
 """Points between two looks: 40 s of them."""
 _SILENT = 5.0
-"""Time without news, s, after which a node or the drive is called silent: both tell of themselves at least once a second."""
+"""Time without news, s, after which a node or the drive is called silent; each tells of itself every second."""
 _CELLS = 24
 """Cells of the coloured disc from zero to i_max."""
 _WANTED = 0.01

@@ -47,7 +47,7 @@ def fit_table(fit: Result, *, verbose: bool = False) -> Table:
     for found in drive.calibrations:
         if math.isfinite(found.sigma) and (found.applied or verbose):
             state = "" if found.applied else " (not corrected)"
-            row(f"{found.name}{state}", measured(found.value, found.sigma, found.unit))
+            row(f"{found.name.replace('_', ' ')}{state}", measured(found.value, found.sigma, found.unit))
     if origin.harmonics:
         row("Rotor-position harmonics", ", ".join(str(harmonic.order) for harmonic in drive.harmonics) or "none")
     table.add_section()

@@ -51,7 +51,7 @@ def main() -> None:
 def measured(result: Identification) -> str:
     """Return a table of code size (bytes) and instructions per call of each function."""
     axis = np.linspace(-result.i_max, result.i_max, _POINTS)
-    options = ExportOptions(axis, axis, bandwidth=6000.0, sample_period=1e-4)
+    options = ExportOptions(axis, axis, bandwidth=950.0, sample_period=1e-4)
     header, _ = content_of(result, "c-header", options)
     lines = ["| function | code, bytes | instructions per call | cycles, about |", "|---|---:|---:|---:|"]
     with tempfile.TemporaryDirectory() as place:

@@ -102,7 +102,7 @@ _OF_PAPER = ("flux_model", "splines_d", "splines_q", "polynomial_degree", "inver
 _OF_CONDITIONS = ("temperatures", "u_dc", "u_dc_reference")
 _OF_FULL = (
     "maps", "harmonic_orders", "search_orders", "per_phase_inverter", "passive_maps", "calibrate_delay",
-    "calibrate_angle", "calibrate_currents", "voltage_delay",
+    "calibrate_angle", "calibrate_currents", "voltage_delay", "rated_current",
 )  # fmt: skip
 
 PSM: Final = Origin(

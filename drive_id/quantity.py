@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 _PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "µ", -9: "n"}
-_PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "s", "S", "Wb/K", "rad", "W"})
+_PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "Nm/A", "s", "S", "Wb/K", "rad", "W"})
 """Units that take a prefix; others, such as samples and °, are left as they are."""
 _SPELLED = {"ohm": "Ω", "1": "", "degC": "°C", "kg m^2": "kg m²"}
 _DIGITS = 4

@@ -198,6 +198,10 @@ def fit(
         str | None, typer.Option(help="Name of the machine, for titles; --set bench=..., operator, notes.")
     ] = None,
     serial: Annotated[str | None, typer.Option(help="Serial number of the machine.")] = None,
+    rated_current: Annotated[
+        float | None,
+        typer.Option(help="Rated current, amplitude, A: the answer tells inductances and torque there, too."),
+    ] = None,
     signals: options.SignalsOption = None,
     namespace: options.NamespaceOption = "",
     config: options.FitConfigOption = None,
@@ -228,8 +232,12 @@ def fit(
     sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
     stored = sources.stored_settings()
     chosen = options.merged_settings(
-        FitSettings, config, settings, {"method": method, "i_max": i_max, "machine": machine, "serial": serial}, stored
-    )
+        FitSettings, config, settings,
+        {
+            "method": method, "i_max": i_max, "machine": machine, "serial": serial, "rated_current": rated_current,
+        },
+        stored,
+    )  # fmt: skip
     output = output or options.beside(bags[0], f"_{chosen.method}")
     with console.working(quiet or as_json) as tell:
         result = fit_bags(sources, output, chosen, force=force, tell=tell)
@@ -321,6 +329,7 @@ def info(
     quiet: options.QuietFlag = False,
 ) -> None:
     """Show what a bag, a result folder or an information file holds. Messages of a bag are not read."""
+    from drive_id.files.logs.log_kind import log_kind
     from drive_id.files.read.info import bag_info
     from drive_id.files.results.folder import is_information, is_result
     from drive_id.reporting.tables import info_table
@@ -332,6 +341,10 @@ def info(
         _print_result(path, as_json=as_json, quiet=quiet, verbose=verbose)
         return
     found = bag_info(path)
+    if not any(topic.encoding for topic in found.topics) and log_kind(path):
+        from drive_id.inspection.spans import with_spans
+
+        found = with_spans(found)
     if as_json:
         console.print_json(dataclasses.asdict(found))
     elif not quiet:

@@ -58,6 +58,7 @@ def serve_results(
         raise ConfigurationError(
             f"drive-id serve needs {error.name}: pip install 'drive_id[web]'; drive-id index needs nothing."
         ) from error
+    import contextlib
     import secrets
 
     token = token or ("" if host in LOOPBACK else secrets.token_urlsafe(16))
@@ -73,6 +74,7 @@ def serve_results(
         elif not archive_only:
             console.say("No live page: ROS 2 or drive_id_msgs is not installed in this environment.")
     server = uvicorn.Server(uvicorn.Config(app, host, port, log_level="warning", timeout_graceful_shutdown=1))
-    server.run()
+    with contextlib.suppress(KeyboardInterrupt):  # how a server ends
+        server.run()
     if not server.started:
         raise ConfigurationError(f"The port {port} at {host} cannot be opened: give another --port or --host.")

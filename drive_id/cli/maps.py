@@ -122,14 +122,15 @@ def export_result(
     ] = None,
     axis_q: Annotated[str | None, typer.Option(metavar="LIST", help="Axis of i_q, A, likewise.")] = None,
     fill: Annotated[
-        bool, typer.Option("--fill", help="Extrapolate the map to points without data instead of marking them as NaN.")
+        bool,
+        typer.Option("--fill", help="Continue the map to points without data, as c-header and fmu do, instead of NaN."),
     ] = False,
     pole_pairs: options.PolePairsOption = None,
     u_dc: options.LinkOption = None,
     leakage: Annotated[float, typer.Option(help="Stator leakage inductance for plecs, H.")] = 0.0,
     bandwidth: Annotated[
-        float, typer.Option(help="Controller bandwidth for vesc, odrive and c-header, rad/s.")
-    ] = 1000.0,
+        float, typer.Option(help="Of the current controllers of vesc, odrive and c-header, Hz.")
+    ] = 160.0,
     sample_period: Annotated[
         float | None, typer.Option(help="Of the controllers of c-header, s: their delay limits the bandwidth.")
     ] = None,

@@ -92,6 +92,10 @@ class FitSettings(Checked):
         minimum=0,
         maximum=MOST_POLE_PAIRS,
     )
+    rated_current: float | None = setting(
+        None, "full: rated current, amplitude, at which the answer tells inductances and torque; default: near i_max",
+        unit="A", minimum=1e-3, maximum=1e6,
+    )  # fmt: skip
     inertia: float | None = setting(
         None,
         "inertia of a free shaft, where it is known by design, without added_inertia: it closes the common gain",

@@ -82,7 +82,7 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
 
     Raises ConfigurationError when no columns look like currents, voltages and an angle: says which are missing.
     """
-    tables = [_timed(_filled(table), contents) for table in contents.tables]
+    tables = [timed(_filled(table), contents) for table in contents.tables]
     if not any(len(table.stamp) for table in tables):
         tables = [_numbered(table) for table in tables]
     tables = [table for table in tables if len(table.stamp) > _FEWEST and table.columns]
@@ -111,7 +111,7 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
 # -- recognizing ---------------------------------------------------------------------------------------------------
 
 
-def _timed(table: Table, contents: Contents) -> Table:
+def timed(table: Table, contents: Contents) -> Table:
     """Return a table of columns with stamps from the column that looks like its time."""
     if len(table.stamp) or contents.is_bag:
         return table

@@ -15,6 +15,8 @@ from drive_id.quantity import plain
 
 _MOST_POINTS = 2000
 """Points between two looks: 40 s of them."""
+_SILENT = 5.0
+"""Time without news, s, after which a node or the drive is called silent; each tells of itself every second."""
 _CELLS = 24
 """Cells of the coloured disc from zero to i_max."""
 _WANTED = 0.01
@@ -72,19 +74,24 @@ class LiveView:
     _new: dict[str, Any] = field(default_factory=dict)
     _estimates: list[ResistanceSoFar] = field(default_factory=list)
     _health: dict[str, Any] = field(default_factory=dict)
+    _heard: dict[str, float] = field(default_factory=dict)
+    _silent: list[str] = field(default_factory=list)
 
     def point(self, i_d: float, i_q: float, speed: float) -> None:
         """Take an operating point: A, electrical rad/s."""
         self._points.append((round(i_d, 3), round(i_q, 3)))
         self._new["speed"] = speed
 
-    def state(self, name: str, values: dict[str, Any]) -> None:
-        """Take the present state of a node or of the drive."""
+    def state(self, name: str, values: dict[str, Any], time: float | None = None) -> None:
+        """Take the present state of a node or of the drive, with the time, s, if it tells it again and again."""
         self._new[name] = plain(values)
+        if time is not None:
+            self._heard[f"the {name}"] = time
 
     def health(self, node: str, level: int, message: str, values: dict[str, str], time: float) -> None:
         """Take a diagnostic status, and the estimate of R that the identification node puts there."""
         self._health[node] = {"level": level, "message": message}
+        self._heard[node] = time
         self._new["nodes"] = self._health
         wanted = ("fit: samples", "fit: resistance [ohm]", "fit: sigma of resistance [ohm]")
         if not all(name in values for name in wanted):
@@ -120,8 +127,11 @@ class LiveView:
             "method": message.method, "warnings": list(message.warnings),
         })  # fmt: skip
 
-    def take(self) -> dict[str, Any]:
-        """Return what is new since the last call; empty when nothing is."""
+    def take(self, now: float = -math.inf) -> dict[str, Any]:
+        """Return what is new since the last call, at a time, s; empty when nothing is."""
+        silent = [f"Nothing is heard of {name} any more." for name, at in self._heard.items() if now > at + _SILENT]
+        if silent != self._silent:
+            self._silent = self._new["silent"] = silent
         found, self._new = self._new, {}
         if self._points:
             found["points"] = list(self._points)

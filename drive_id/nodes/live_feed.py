@@ -48,7 +48,8 @@ class LiveFeed(Node):
         self.create_timer(_PERIOD, self._print, clock=STEADY)
 
     def _on_state(self, name: str, message: Any) -> None:
-        self._view.state(name, {field: getattr(message, field) for field in _STATES[name]})
+        again = time.monotonic() if name == "drive" else None  # the publisher is heard by its diagnostics
+        self._view.state(name, {field: getattr(message, field) for field in _STATES[name]}, again)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         own = self.get_namespace().rstrip("/") + "/"
@@ -58,7 +59,8 @@ class LiveFeed(Node):
                 self._view.health(status.name, ord(status.level), status.message, values, time.monotonic())
 
     def _print(self) -> None:
-        found, now = self._view.take(), time.monotonic()
+        now = time.monotonic()
+        found = self._view.take(now)
         if not found and now < self._said + _HEARTBEAT:
             return
         self._said = now

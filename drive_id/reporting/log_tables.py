@@ -8,6 +8,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
+from drive_id.inspection.choice import timed
 from drive_id.inspection.contents import Contents
 from drive_id.inspection.inspect import Inspection
 from drive_id.reporting.tables import plain_table
@@ -41,7 +42,8 @@ def contents_tables(contents: Contents) -> Iterator[Table]:
     numbers = ["Messages" if contents.is_bag else "Rows", "Hz", *(["Samples/s"] if blocks else [])]
     groups = plain_table(title, [group, "Type"], numbers)
     fields = plain_table("Fields", ["Field"], ["Least", "Largest"])
-    for entry in contents.tables:
+    for table in contents.tables:
+        entry = timed(table, contents)
         rate, samples = (f"{1 / (entry.period * n):.6g}" if entry.period else "" for n in (entry.block, 1))
         rows = "?" if entry.rows is None else str(entry.rows)
         kind = ": ".join(filter(None, (entry.kind, entry.problem)))

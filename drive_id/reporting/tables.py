@@ -47,7 +47,7 @@ def fit_table(fit: Result, *, verbose: bool = False) -> Table:
     for found in drive.calibrations:
         if math.isfinite(found.sigma) and (found.applied or verbose):
             state = "" if found.applied else " (not corrected)"
-            row(f"{found.name}{state}", measured(found.value, found.sigma, found.unit))
+            row(f"{found.name.replace('_', ' ')}{state}", measured(found.value, found.sigma, found.unit))
     if origin.harmonics:
         row("Rotor-position harmonics", ", ".join(str(harmonic.order) for harmonic in drive.harmonics) or "none")
     table.add_section()
@@ -126,11 +126,15 @@ def _experiment(fit: Result) -> list[str]:
 
 
 def info_table(info: BagInfo) -> Table:
-    """List the topics of a bag."""
+    """List the topics of a bag, or the columns of a file."""
     compression = f", {info.compression}" if info.compression else ""
     duration = f", {info.duration:.3f} s" if info.duration else ""
+    of_columns = not any(topic.encoding for topic in info.topics)
+    if of_columns and info.duration and info.messages > 1:
+        duration = f", {info.messages} rows in {info.duration:.6g} s: {(info.messages - 1) / info.duration:.6g} Hz"
     title = f"{info.path}: {info.storage}{compression}, {info.size / 1e6:.2f} MB{duration}"
-    table = plain_table(title, ["Topic", "Type"], ["Messages"])
+    names = ("Column", "Rows") if of_columns else ("Topic", "Messages")
+    table = plain_table(title, [names[0], "Type"], [names[1]])
     for topic in info.topics:
         table.add_row(escape(topic.name), escape(topic.type_name), "?" if topic.count is None else str(topic.count))
     return table
@@ -152,13 +156,7 @@ def plan_tables(plan: Plan) -> list[Table]:
     proposal.add_row("Peak |di/dt|", f"{trajectory.slope / 1e3:.3g} A/ms")
     numbers = ["Proposed", f"Paper's, {plan.paper.duration:g} s", "Ratio"]
     expected = plain_table("Expected relative standard errors", ["Quantity"], numbers)
-    names = (
-        "psi_d, rms over the disc",
-        "psi_q, rms over the disc",
-        "R",
-        "Inverter curve, rms up to i_max",
-        "R without assuming reciprocal maps",
-    )
+    names = ("ψ_d, rms over the disc", "ψ_q, rms over the disc", "R", "Inverter curve, rms", "R, maps not reciprocal")
     for name, ours, paper in zip(names, plan.prediction.values(), plan.paper_prediction.values(), strict=True):
         expected.add_row(name, f"{100 * ours:.3f} %", f"{100 * paper:.3f} %", f"{ours / paper:.2f}")
     return [proposal, expected]
@@ -185,15 +183,23 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
 
 def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
     """Lay out the single numbers of an analysis with their standard errors."""
-    table = plain_table(f"Analysis of {name}", ["Quantity"], ["Value", ""])
+    table = plain_table(f"Analysis of {name}", ["Quantity"], ["Value"])
     table.columns[1].no_wrap = True
     for quantity, figure in figures.items():
         factor, unit = _SHOWN.get(figure.unit, (1.0, figure.unit))
         shown = measured(factor * figure.value, factor * figure.sigma, unit)
-        table.add_row(quantity.replace("_", " "), shown, "" if figure.inside else "extrapolated")
+        table.add_row(
+            _NAMED.get(quantity, quantity.replace("_", " ")), shown + ("" if figure.inside else " (extrapolated)")
+        )
     return table
 
 
+_NAMED = {
+    "resistance": "R", "magnet_flux": "ψ_PM", "L_dd": "L_d at zero current", "L_qq": "L_q at zero current",
+    "saliency": "L_q / L_d at zero current", "mtpa_angle": "MTPA angle at i_max", "kp_d": "k_p, d", "kp_q": "k_p, q",
+    "ki": "k_i",
+}  # fmt: skip
+"""Names for people where they are not those of the figure in words; one spelling in all tables."""
 _SHOWN = {"rad": (180 / math.pi, "°"), "rad/s": (30 / math.pi, "rpm")}
 """Factor and name of the unit in which a quantity is shown."""
 

@@ -108,7 +108,10 @@ class Result:
 
         What the data do not cover, or what is not known, is left out.
         """
-        return headline(self.drive, pole_pairs=self.pole_pairs, temperature=self.provenance.temperature)
+        known = self.provenance
+        return headline(
+            self.drive, pole_pairs=self.pole_pairs, temperature=known.temperature, rated=known.settings.rated_current
+        )
 
     @property
     def advice(self) -> tuple[Message, ...]:

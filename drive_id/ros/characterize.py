@@ -132,7 +132,10 @@ def keep(results: Mapping[str, Identified], truth: GroundTruth | None, output: P
         document = json.loads((folder / "identification.json").read_text(encoding="utf-8"))
         stated[title] = document["statements"]
         if len(results) == 1:
-            load(folder).report(folder / "report.html")
+            found = load(folder)
+            found.report(folder / "report.html")
+            for quantity in found.headline:  # more than a reply tells
+                say(f"   {quantity.name}: {quantity}")
     print_sentences("What the fits state:", stated)
     say(f"Results: {', '.join(str(plain_folder(output, title)) for title in results)}")
 

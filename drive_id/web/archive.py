@@ -83,8 +83,9 @@ def _entry(folder: Path) -> Entry:
 def row_of(result: Result) -> dict[str, Any]:
     """Return what a page tells of a result, ready for JSON: numbers that are not known are null."""
     quantities: dict[str, Any] = {}
-    for q in result.headline:  # inductances at zero current stand before those at i_max
-        quantities.setdefault(q.name.partition(" at ")[0], [q.value, q.sigma, q.unit, str(q)])
+    for q in result.headline:
+        if "MTPA" not in q.name:  # inductances at zero current only: a column compares like with like
+            quantities[q.name.partition(" at ")[0]] = [q.value, q.sigma, q.unit, str(q)]
     return {
         "date": result.date,
         "machine": result.machine,

@@ -113,7 +113,9 @@ def test_export(run, drive, tmp_path, name):
             assert np.unique(content["i_s_dq"].real).tolist() == [float(k) for k in range(-10, 11)]
             np.testing.assert_allclose(content["psi_s_dq"][3, 15], complex(*flux(-7.0, 5.0)), atol=2e-4)
     else:
-        assert tree["warnings"][0].startswith("The gains rest on the smallest incremental inductance within i_max, ")
+        assert tree["warnings"][0].startswith(
+            "The bandwidth is 160 Hz. The gains rest on the smallest incremental inductance within i_max, "
+        )
 
 
 def test_axes_and_gaps(run, drive, tmp_path):
@@ -132,7 +134,7 @@ def test_axes_and_gaps(run, drive, tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--format", "mat"), "choose csv, netcdf"),
+        (("--format", "mat"), "files of this kind can be syre"),
         (("--format", "csv", "--grid", 40, "--range", -10, 10), "choose --grid 41"),
         (("--format", "csv", "--grid", 0), "choose 4 to 2001 points"),
         (("--format", "csv", "--axis-d", "1,2,3,4"), "--axis-d does not contain 0"),

@@ -95,3 +95,16 @@ def test_infinite_durations_are_null():
     view = LiveView()
     view.state("publisher", {"state": "running", "duration": np.inf})
     assert json.dumps(view.take(), allow_nan=False) == '{"publisher": {"state": "running", "duration": null}}'
+
+
+def test_who_has_fallen_silent_is_told_once_and_until_it_is_back():
+    view = LiveView()
+    view.health("/identification", 0, "Waiting.", {}, 10.0)
+    view.state("drive", {"enabled": True}, 12.0)
+    assert "silent" not in view.take(14.0)
+    assert view.take(16.0)["silent"] == ["Nothing is heard of /identification any more."]
+    assert "silent" not in view.take(16.5)
+    assert len(view.take(18.0)["silent"]) == 2
+    view.state("drive", {"enabled": True}, 19.0)
+    view.health("/identification", 0, "Waiting.", {}, 19.0)
+    assert view.take(19.5)["silent"] == []

@@ -208,8 +208,8 @@ def test_a_full_result_shows_bands_phases_and_faults(full_like):
     assert "The data cover the whole current disc." in text
     assert "Record longer: " in text
     assert "What would help most" not in text
-    (row,) = (row for row in page.by_id("identifiable").all("tr") if "resolver_offset" in row.text())
-    assert [cell.text() for cell in row.children] == ["resolver_offset", "10.0 ± 1.0 mrad", "corrected"]
+    (row,) = (row for row in page.by_id("identifiable").all("tr") if "resolver offset" in row.text())
+    assert [cell.text() for cell in row.children] == ["resolver offset", "10.0 ± 1.0 mrad", "corrected"]
     assert [entry["name"] for entry in page.data("charts")["comparison"]["methods"]] == ["psm", "joint"]
 
 

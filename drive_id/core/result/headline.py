@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,17 +26,20 @@ _WORST = 0.5
 
 
 def headline(
-    drive: IdentifiedDrive, *, pole_pairs: int | None = None, temperature: float | None = None
-) -> tuple[Quantity, ...]:
+    drive: IdentifiedDrive, *, pole_pairs: int | None = None, temperature: float | None = None,
+    rated: float | None = None,
+) -> tuple[Quantity, ...]:  # fmt: skip
     """Return what is asked for first; what the data do not cover, or what is not known, is left out.
 
-    Inductances away from zero current need the standard errors of method ``full``, and are told at 95 % of i_max. The
-    standard errors of inductances and torque need the joint errors of a fit. Without pole pairs there is no torque. The
-    temperature is that to which R refers, degrees Celsius, where known.
+    Inductances away from zero current need the standard errors of method ``full``, and are told at the rated current,
+    A, or else at 95 % of i_max. The standard errors of inductances and torque need the joint errors of a fit. Without
+    pole pairs there is no torque. The temperature is that to which R refers, degrees Celsius, where known.
     """
-    peak = _peak_torque(drive) if drive.origin.turning else None
-    rated = _peak_torque(drive, _SLOPES) if drive.origin.slopes else None
-    found = [*_at_zero_current(drive), *(() if rated is None else rated.inductances(drive))]
+    wanted = (rated / drive.i_max,) if rated and rated < _SLOPES * drive.i_max else ()
+    peak, loaded = _peak_torque(drive, _RADII) if drive.origin.turning else None, None
+    if drive.origin.slopes:
+        loaded = _peak_torque(drive, (*wanted, *(share for share in _RADII if share <= _SLOPES)))
+    found = [*_at_zero_current(drive), *(() if loaded is None else loaded.inductances(drive))]
     if math.isfinite(drive.resistance):
         at = "" if temperature is None else f" at {temperature:g} °C"
         warm = "At the temperature of the recording." if drive.origin.fitted and not at else ""
@@ -46,8 +50,9 @@ def headline(
         note = "Of one phase at large current, without its linear part, which is in R."
         found.append(Quantity("Inverter drop", drive.voltage_error, drive.sigma_voltage_error, "V", note))
     found.append(Quantity("i_max", drive.i_max, math.nan, "A", "Radius of the current disc."))
-    torque = () if peak is None or not pole_pairs else (peak.torque(drive, pole_pairs),)
-    return (*found, *torque, *_of_shaft(drive))
+    if pole_pairs:
+        found += [q for at in (loaded if wanted else None, peak) if at for q in at.torques(drive, pole_pairs)]
+    return (*found, *_of_shaft(drive))
 
 
 def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
@@ -76,13 +81,10 @@ def _of_shaft(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
     return (Quantity("J", mechanics.inertia, mechanics.sigma_inertia, "kg m²", note),)
 
 
-def _peak_torque(drive: IdentifiedDrive, largest: float = 1.0) -> _Local | None:
-    """Return the current of the largest positive torque on the largest circle where there are data around it.
-
-    ``largest`` limits the circles, in i_max.
-    """
+def _peak_torque(drive: IdentifiedDrive, radii: Iterable[float]) -> _Local | None:
+    """Return the current of the largest positive torque on the first circle with data around it; radii in i_max."""
     found = drive.flux_map
-    for radius in (share * drive.i_max for share in _RADII if share <= largest):
+    for radius in (share * drive.i_max for share in radii):
         d, q = radius * np.cos(_COARSE), radius * np.sin(_COARSE)
         rough = _COARSE[(found.sampled(found.psi_d, d, q) * q - found.sampled(found.psi_q, d, q) * d).argmax()]
         tried = ((radius * np.cos(angle), radius * np.sin(angle)) for angle in rough + _FINE)
@@ -149,12 +151,13 @@ class _Local:
         found = tuple(self.inductance(k, f"L_{axis} at {self.where(drive)}", note) for k, axis in enumerate("dq"))
         return tuple(_unless_vague(quantity) for quantity in found if math.isfinite(quantity.sigma))
 
-    def torque(self, drive: IdentifiedDrive, pole_pairs: int) -> Quantity:
-        """Return the largest torque of this amplitude of the current."""
-        torque, change = (1.5 * pole_pairs * x for x in self.per_pair)
-        per_current = float(torque) / math.hypot(self.i_d, self.i_q)
-        note = f"Air-gap torque at {self.currents}; {per_current:.4g} Nm/A."
-        return Quantity(f"Torque at {self.where(drive)}", float(torque), _sigma(change), "Nm", note)
+    def torques(self, drive: IdentifiedDrive, pole_pairs: int) -> tuple[Quantity, Quantity]:
+        """Return the largest torque of this amplitude of the current, and that by the amplitude."""
+        (torque, change), radius = (1.5 * pole_pairs * x for x in self.per_pair), math.hypot(self.i_d, self.i_q)
+        sigma, where, note = _sigma(change), self.where(drive), f"Air-gap torque at {self.currents}."
+        whole = Quantity(f"Torque at {where}", float(torque), sigma, "Nm", note)
+        per_current = "Of the amplitude of the current."
+        return whole, Quantity(f"Torque per A at {where}", float(torque) / radius, sigma / radius, "Nm/A", per_current)
 
     @property
     def currents(self) -> str:

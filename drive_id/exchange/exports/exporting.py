@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +35,7 @@ class Exported:
             return self.remarks
         told = f"{self.gaps}; choose a smaller --range or a larger --grid, or --fill them with a continuation."
         if self.filled:
-            told = "they hold a continuation of the map."
+            told = "they hold a continuation of the map, which was not measured."
         return (f"{self.missing} of {self.points} points of the table have no data: {told}", *self.remarks)
 
 
@@ -46,12 +46,15 @@ def content_of(result: Result, name: str, options: ExportOptions | None = None) 
     the table has data.
     """
     chosen, wanted = export_format(name), options or ExportOptions()
+    wanted = replace(wanted, filled=wanted.filled or not chosen.gaps)
     table = MapTable.of(result, wanted)
     if not chosen.grid and not table.machine.inside(0.0, 0.0):
         raise CoverageError(f"The map has no data at zero current, from which --format {name} takes its numbers.")
     content = chosen.write(table, wanted)
     if not chosen.grid:
-        return content, Exported(0, 0, filled=False, remarks=(table.gain_source,))
+        return content, Exported(
+            0, 0, filled=False, remarks=(f"The bandwidth is {wanted.bandwidth:g} Hz. {table.gain_source}",)
+        )
     return content, Exported(table.inside.size, table.missing, wanted.filled, chosen.gaps, _remarks(table, chosen))
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import difflib
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
@@ -24,7 +25,7 @@ class ExportFormat:
     suffix: str  # usual end of the file's name
     write: Writer
     grid: bool = True  # it holds tables over the current plane, not a few numbers
-    gaps: str = "they are marked as NaN"  # what becomes of points without data
+    gaps: str = "they are marked as NaN"  # what becomes of points without data; empty: they hold a continuation
 
 
 EXPORTS: Mapping[str, ExportFormat] = {
@@ -44,11 +45,9 @@ EXPORTS: Mapping[str, ExportFormat] = {
     "powertrain-controller": ExportFormat(
         "Powertrain Blockset flux-based PM controller", ".mat", matlab.write_powertrain_controller
     ),
-    "c-header": ExportFormat("C99 header with its reader", ".h", c_header.write),
-    "fmu": ExportFormat("FMU of FMI 3.0 with its C sources", ".fmu", fmu.write, gaps="they hold a continuation"),
-    "fmu-2": ExportFormat(
-        "FMU of FMI 2.0 with its C sources", ".fmu", partial(fmu.write, version=2), gaps="they hold a continuation"
-    ),
+    "c-header": ExportFormat("C99 header with its reader", ".h", c_header.write, gaps=""),
+    "fmu": ExportFormat("FMU of FMI 3.0 with its C sources", ".fmu", fmu.write, gaps=""),
+    "fmu-2": ExportFormat("FMU of FMI 2.0 with its C sources", ".fmu", partial(fmu.write, version=2), gaps=""),
     "plecs": ExportFormat("PLECS non-excited synchronous machine", ".mat", matlab.write_plecs),
     "modelica": ExportFormat("Modelica CombiTable2D", ".txt", text.write_modelica),
     "vesc": ExportFormat("VESC motor configuration", ".xml", controllers.write_vesc, grid=False),
@@ -63,15 +62,29 @@ GROUP = "drive_id.exporters"
 def export_format(name: str) -> ExportFormat:
     """Return a format; upper case and underscores in its name do not matter.
 
-    Raises ConfigurationError when there is none of this name, or that of another package is none.
+    Raises ConfigurationError when there is none of this name, and the message tells which are near; or when that of
+    another package is none.
     """
     known = name.lower().replace("_", "-").replace(" ", "-")
     if known in EXPORTS:
         return EXPORTS[known]
     others = {entry.name: entry for entry in entry_points(group=GROUP)}
     if known not in others:
-        raise ConfigurationError(f"There is no export format '{name}': choose {', '.join([*EXPORTS, *others])}.")
+        raise ConfigurationError(f"There is no export format '{name}': {_instead(known, others)}.")
     found = others[known].load()
     if not isinstance(found, ExportFormat):
         raise ConfigurationError(f"The export format '{known}' ({others[known].value}) is no ExportFormat.")
     return found
+
+
+def _instead(name: str, others: Iterable[str]) -> str:
+    """Say what may be meant: the formats of files of this kind, the nearest name, or else all names by kind of file."""
+    kinds: dict[str, list[str]] = {}
+    for known, format_ in EXPORTS.items():
+        kinds.setdefault(format_.suffix, []).append(known)
+    if of_kind := kinds.get(".mat" if name == "matlab" else f".{name.removeprefix('.')}"):
+        return f"files of this kind can be {', '.join(of_kind)}; choose one by the tool that reads it"
+    if near := difflib.get_close_matches(name, [*EXPORTS, *others], 1):
+        return f"did you mean {near[0]}"
+    listed = "; ".join(f"{kind}: {', '.join(names)}" for kind, names in kinds.items())
+    return f"choose {listed}" + "".join(f", {other}" for other in others)

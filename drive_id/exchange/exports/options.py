@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from drive_id.settings import Checked, setting
@@ -20,10 +21,15 @@ class ExportOptions(Checked):
     leakage_inductance: float = setting(
         0.0, "L_sigma of the stator, which PLECS wants apart from the flux of the air gap", unit="H", minimum=0.0
     )
-    bandwidth: float = setting(1000.0, "of the current controllers for VESC, ODrive and C", unit="rad/s", minimum=1e-6)
+    bandwidth: float = setting(160.0, "of the current controllers for VESC, ODrive and C", unit="Hz", minimum=1e-6)
     sample_period: float | None = setting(
         None, "of the current controllers for C: the delay then limits the bandwidth", unit="s", minimum=1e-12
     )
     phase_margin: float = setting(
         60.0, "least phase margin with that delay", unit="degrees", minimum=1e-3, maximum=89.999
     )
+
+    @property
+    def rate(self) -> float:
+        """The bandwidth, rad/s."""
+        return 2 * math.pi * self.bandwidth

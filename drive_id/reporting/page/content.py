@@ -322,7 +322,11 @@ def map_difference(result: Result, other: ComparedMethod) -> tuple[FloatArray, F
 
 def _calibrations(result: Result) -> TextTable:
     rows = (
-        (found.name, measured(found.value, found.sigma, found.unit), "corrected" if found.applied else "not corrected")
+        (
+            found.name.replace("_", " "),
+            measured(found.value, found.sigma, found.unit),
+            "corrected" if found.applied else "not corrected",
+        )
         for found in result.calibrations
         if found.applied or math.isfinite(found.sigma)  # else nothing was estimated
     )

@@ -126,7 +126,7 @@
       const label = `${name} / ${name === "R" ? "mΩ" : "mWb"}, bars: ±2 σ`;
       return [made("figure", {}, drawTrend(points, label, (p) => `${p.row.date.slice(0, 16).replace("T", " ")}: ${p.written}`))];
     }));
-    if (!byId("trends").children.length) byId("trends").append(made("p", {}, "No dated results of a named machine: name it with drive-id fit --machine, --set serial=..."));
+    if (!byId("trends").children.length) byId("trends").append(made("p", {}, "No dated results of a named machine: name it with drive-id fit --machine NAME --serial NUMBER."));
   }
 
   function start() {

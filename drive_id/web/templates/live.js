@@ -58,7 +58,7 @@
   function showSentences() {
     const nodes = Object.entries(state.nodes ?? {});
     const said = nodes.filter(([, node]) => node.level > 0).map(([name, node]) => `${name}: ${node.message}`);
-    showList("warning-list", [...(state.map?.warnings ?? []), ...said, ...(state.feed ? [state.feed] : [])]);
+    showList("warning-list", [...(state.silent ?? []), ...(state.map?.warnings ?? []), ...said, ...(state.feed ? [state.feed] : [])]);
     showList("node-list", nodes.map(([name, node]) => `${name}: ${node.message}`));
   }
 
@@ -108,7 +108,7 @@
   setInterval(() => {
     const age = Date.now() - heard;
     const said = !connected ? "The server does not answer; this page shows what it knew last."
-      : age > SILENT ? `No news for ${Math.round(age / 1000)} s.` : "Live.";
+      : age > SILENT ? `No news for ${Math.round(age / 1000)} s.` : state.nodes || state.drive ? "Live." : "Connected; nothing is heard of a drive yet.";
     if (byId("link").textContent !== said) byId("link").textContent = said;
   }, 500);
   dark.addEventListener("change", () => { applyTheme(); draw(); });

@@ -61,7 +61,7 @@ def test_values_and_standard_errors_are_those_of_the_formula(drive):
     found = named(drive, pole_pairs=PAIRS, temperature=20.0)
     assert list(found) == [
         "ψ_PM", "L_d at zero current", "L_q at zero current", "L_d at 95 A, MTPA", "L_q at 95 A, MTPA", "R at 20 °C",
-        "Inverter drop", "i_max", "Torque at i_max, MTPA",
+        "Inverter drop", "i_max", "Torque at i_max, MTPA", "Torque per A at i_max, MTPA",
     ]  # fmt: skip
     (d, q, torque), (d_95, q_95, _) = (best_torque(radius) for radius in (I_MAX, 95.0))
     expected = {
@@ -111,3 +111,13 @@ def test_what_is_not_known_is_left_out(drive):
     assert "R" not in found
     assert "Inverter drop" not in found
     assert all(math.isnan(found[name].sigma) for name in found if name != "ψ_PM")
+
+
+def test_a_rated_current_is_where_loaded_values_are_told(drive):
+    found = named(drive, pole_pairs=PAIRS, rated=60.0)
+    assert list(found)[3:5] == ["L_d at 60 A, MTPA", "L_q at 60 A, MTPA"]
+    *_, torque = best_torque(60.0)
+    assert found["Torque at 60 A, MTPA"].value == pytest.approx(torque, rel=1e-6)
+    assert found["Torque per A at 60 A, MTPA"].value == pytest.approx(torque / 60.0, rel=1e-6)
+    assert "Torque at i_max, MTPA" in found
+    assert named(drive, rated=99.0).keys() == named(drive).keys()  # beyond where slopes are known

@@ -51,7 +51,7 @@ def with_drop(table: MapTable, options: ExportOptions, current: FloatArray, volt
         "POLE_PAIRS": (machine.pole_pairs, "1"),
         "I_MAX": (machine.i_max, "A, largest current amplitude"),
         "U_DC": (machine.u_dc, "V"),
-        "BANDWIDTH": (bandwidth, f"rad/s, of the current controllers; {limited}"),
+        "BANDWIDTH": (bandwidth, f"rad/s ({bandwidth / (2 * math.pi):.4g} Hz), of the current controllers; {limited}"),
         "KI": (bandwidth * machine.resistance, "V/(A s)"),
         "PLL_KP": (2 * _PLL * bandwidth, "1/s"),  # critically damped
         "PLL_KI": ((_PLL * bandwidth) ** 2, "1/s^2"),
@@ -98,9 +98,9 @@ def _bandwidth(options: ExportOptions) -> tuple[float, str]:
     ``a e^{-s T_d} / s``: its phase margin is ``pi/2 - a T_d``, whatever the current.
     """
     if options.sample_period is None:
-        return options.bandwidth, "no delay is considered"
+        return options.rate, "no delay is considered"
     delay = _DELAY * options.sample_period
-    bandwidth = min(options.bandwidth, (math.pi / 2 - math.radians(options.phase_margin)) / delay)
+    bandwidth = min(options.rate, (math.pi / 2 - math.radians(options.phase_margin)) / delay)
     margin = math.degrees(math.pi / 2 - bandwidth * delay)
     return bandwidth, f"leaves a phase margin of {margin:.3g} degrees at {delay:.4g} s of delay"
 
@@ -166,7 +166,5 @@ def _array(name: str, size: str, rows: FloatArray, unit: str) -> list[str]:
 
 def _literal(value: float) -> str:
     """Return a constant that is exact in single precision: suffixed, so that no conversion is needed."""
-    if math.isnan(value):
-        return "DRIVE_ID_NAN"
     text = f"{value:.9g}"
     return f"DRIVE_ID_C({text if any(mark in text for mark in '.e') else text + '.0'})"

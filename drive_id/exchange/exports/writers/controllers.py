@@ -21,8 +21,8 @@ def write_vesc(table: MapTable, options: ExportOptions) -> bytes:
         "foc_motor_l": (at_zero.l_d + at_zero.l_q) / 2,
         "foc_motor_ld_lq_diff": at_zero.l_q - at_zero.l_d,
         "foc_motor_flux_linkage": at_zero.magnet,
-        "foc_current_kp": table.machine.least_inductance * options.bandwidth,
-        "foc_current_ki": resistance * options.bandwidth,
+        "foc_current_kp": table.machine.least_inductance * options.rate,
+        "foc_current_ki": resistance * options.rate,
     }
     root = ET.Element("MCConfiguration")
     for name, value in values.items():
@@ -45,7 +45,7 @@ def write_odrive(table: MapTable, options: ExportOptions) -> bytes:
         "motor_model_l_d": at_zero.l_d,
         "motor_model_l_q": at_zero.l_q,
         "motor_model_l_dq_valid": True,
-        "current_control_bandwidth": options.bandwidth,
+        "current_control_bandwidth": options.rate,  # rad/s
     }
     tree = {f"axis0.config.motor.{name}": value for name, value in motor.items()}
     return (json.dumps(tree, indent=1) + "\n").encode()

@@ -14,9 +14,8 @@
  *   drive_id_active_flux(i_d, i_q), DRIVE_ID_PLL_KP, DRIVE_ID_PLL_KI    for an observer of the angle
  *   drive_id_resistance(celsius), drive_id_magnet(celsius)              R, and change of psi_d, with temperature
  *
- * Currents beyond the axes are moved to their ends. Points without data are NaN (unless the table was filled) and make
- * the result NaN: ask drive_id_inside first. The bicubic functions use the neighbouring cells, too; where one of these
- * has no data, they are bilinear.
+ * Currents beyond the axes are moved to their ends. Points without data hold a smooth continuation of the map, which was
+ * not measured: drive_id_inside tells. The result is NaN for a current that is NaN only.
  *
  * For tables in double precision, define DRIVE_ID_DOUBLE before this header is included.
  */
@@ -141,7 +140,7 @@ static inline drive_id_real drive_id_bicubic(const drive_id_real *table, drive_i
         }
         sum += along_d[j] * line;
     }
-    return sum == sum ? sum : drive_id_bilinear(table, i_d, i_q); /* next to points without data */
+    return sum == sum ? sum : drive_id_bilinear(table, i_d, i_q);
 }
 
 static inline drive_id_real drive_id_psi_d(drive_id_real i_d, drive_id_real i_q)

@@ -10,7 +10,6 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
@@ -72,7 +71,7 @@ def write(table: MapTable, options: ExportOptions, version: int = 3) -> bytes:
     held = table.result.provenance.temperature
     variables = _variables(table.known_resistance(), 20.0 if held is None else held)
     drop = table.machine.inverter_current, table.machine.inverter_voltage
-    header = c_header.with_drop(replace(table, filled=True), options, *drop).decode("ascii")
+    header = c_header.with_drop(table, options, *drop).decode("ascii")
     code = {name: (_FOLDER / name).read_text(encoding="ascii") for name in ("model.h", "fmi.h", f"fmi{version}.c")}
     listed = _listed(variables)
     token = hashlib.sha256("".join([header, listed, *code.values()]).encode()).hexdigest()[:32]

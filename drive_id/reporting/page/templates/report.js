@@ -70,15 +70,23 @@
     return known ? [{ x, y, text: "✛", showarrow: false, font: { size: 18, color: "#ff5a36" } }] : [];
   }
 
-  /** Axes of the current plane, both scaled alike, with the circle of i_max and the probed current. */
-  function planeLayout() {
+  /** What lies beyond the circle of i_max, in the colour of the page: the grid ends there in steps. */
+  function beyond() {
+    const [n, far] = [180, 4 * data.i_max];
+    const at = (k) => [Math.cos, Math.sin].map((of) => (data.i_max * of(2 * Math.PI * k / n)).toFixed(4)).join(" ");
+    const circle = Array.from({ length: n }, (_, k) => at(k)).join("L");
+    return { type: "path", path: `M-${far} -${far}H${far}V${far}H-${far}ZM${circle}Z`, fillcolor: colour("page"), line: { width: 0 } };
+  }
+
+  /** Axes of the current plane, both scaled alike, with the circle of i_max, clipped to it, and the probed current. */
+  function planeLayout(clipped = true) {
     const reach = 1.05 * data.i_max;
     return layout({
       annotations: mark(),
       margin: { l: 60, r: 20, t: 36, b: 50 },
       xaxis: axis(currentAxis("d"), { range: [-reach, reach], constrain: "domain" }),
       yaxis: axis(currentAxis("q"), { range: [-reach, reach], scaleanchor: "x", constrain: "domain" }),
-      shapes: [{
+      shapes: [...(clipped ? [beyond()] : []), {
         type: "circle", x0: -data.i_max, x1: data.i_max, y0: -data.i_max, y1: data.i_max,
         line: { color: colour("text"), width: 1 },
       }],
@@ -187,7 +195,7 @@
         traces.push({ type: "scatter", mode: "lines", x: trajectory.i_d, y: trajectory.i_q, name: "measured",
           line: { color: "#ff5a36", width: 0.8 }, hoverinfo: "skip", showlegend: false });
       }
-      return Plotly.react("chart-map", traces, planeLayout(), config);
+      return Plotly.react("chart-map", traces, planeLayout(!continued && !traced), config);
     }
     const surface = (z, more) => ({
       type: "surface", x: i_d, y: i_q, z, text, name: field.name, hovertemplate: field.hovertemplate,

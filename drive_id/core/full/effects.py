@@ -70,7 +70,7 @@ from drive_id.core.full.model import (
 )
 from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.core.maps.flux_models import jacobian
-from drive_id.types import FloatArray, Samples
+from drive_id.types import TINY, FloatArray, Samples
 
 OF_RECORDINGS = (
     "copper_heating",
@@ -94,7 +94,6 @@ _BENDS = 0.1
 
 _CURVE_POINTS = 101
 """Currents, dense near zero, at which shapes of the drop are compared."""
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 def between(x: ComplexArray) -> ComplexArray:
@@ -251,7 +250,7 @@ class EffectColumns:
         return {
             "iron_loss": [-e],
             "hysteresis": [-e / speed],
-            "coercivity": [-e / np.maximum(np.abs(e), _TINY)],
+            "coercivity": [-e / np.maximum(np.abs(e), TINY)],
             "current_rotation": [-1j * i_dq],
             "current_gains": [-mirrored, -1j * mirrored],
             "current_offset": [-turn.conj(), -1j * turn.conj()],

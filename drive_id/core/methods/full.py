@@ -10,7 +10,7 @@ import numpy as np
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
-from drive_id.core.full.effect_report import effect_entries, misfit_warning, not_reciprocal_warning
+from drive_id.core.full.effect_report import OUTLYING, effect_entries, misfit_warning, not_reciprocal_warning
 from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
@@ -27,7 +27,7 @@ from drive_id.core.methods.parameters import FitReport
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
 from drive_id.messages import Message
-from drive_id.types import BoolArray, FloatArray, Samples
+from drive_id.types import TINY, BoolArray, FloatArray, Samples
 
 _FINE = 72  # splines per axis of the map for simulation and queries, at least
 _FINEST = 200  # the same, at most
@@ -36,8 +36,7 @@ _POINTS = 256
 """Points of the map per batch of standard errors."""
 _AVERAGED = 4
 """Samples over which the simulation averages the voltage that effects take."""
-_OUTLYING_BATCH = 20.0  # mean square residual of a batch of time over the median from which on its time is told
-_LEAST_OUTLYING = 0.01  # the same rms, over the voltages
+_LEAST_OUTLYING = 0.01  # rms residual of an outlying batch of time, over the voltages, from which on its time is told
 _LEAST_TURN = 0.75  # of a window's angle and duration: shorter ones do not rotate slowly
 _FEW_POINTS = 0.005  # share of the map's points that may be uncertain
 _LARGE_SIGMA = 0.01  # standard error over the largest flux of an uncertain point
@@ -92,7 +91,7 @@ class FullMethod:
         current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         drops, deviation = _inverter(fit, current)
         simulation = _simulation_model(evidence, frame, (current, drops.mean(axis=1)))
-        outlying = fit.assessment.outlying > _OUTLYING_BATCH and fit.assessment.outlying_share > _LEAST_OUTLYING
+        outlying = fit.assessment.outlying > OUTLYING and fit.assessment.outlying_share > _LEAST_OUTLYING
         unknowns = fit.solution.basis.shape[1]
         share = information.windows / (information.windows + information.outside)
         return Estimate(
@@ -116,7 +115,7 @@ class FullMethod:
                 condition=float(1.0 / np.min(np.diag(fit.solution.factor))),
                 residual_rms=fit.solution.residual_rms / evidence.sample_period,
             ),
-            unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, np.finfo(np.float64).tiny))),
+            unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, TINY))),
             outlying_time=fit.assessment.outlying_time if outlying else None,
             warnings=warnings,
             sigma_inverter_voltage=deviation,
@@ -164,15 +163,13 @@ class TrueFrame:
 def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
     if not fit.spec.magnet:
         return None
-    form = np.zeros(fit.model.size)
-    form[MAGNET] = 1.0
-    return float(fit.solution.estimate[MAGNET]), fit.sigma(form)
+    return float(fit.solution.estimate[MAGNET]), fit.sigma(MAGNET)
 
 
 def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
     settings = evidence.settings
     found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
-    found += effect_entries(fit, several_speeds=several_speeds(fit.assessment.speeds))
+    found += effect_entries(fit)
     disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
     if settings.calibrate_angle:
         reached = min(evidence.i_max, evidence.reached or evidence.i_max)
@@ -308,7 +305,7 @@ def _statements(
 ) -> Iterator[Message]:
     """Yield what determined the unknowns that the data alone leave open, where data are missing, what helps most."""
     several = several_speeds(fit.assessment.speeds)
-    relative = fit.sigma_resistance / max(abs(fit.solution.resistance), np.finfo(np.float64).tiny)
+    relative = fit.sigma_resistance / max(abs(fit.solution.resistance), TINY)
     by = ".speeds" if several else ".reciprocity" if fit.spec.reciprocal else ""
     yield Message(f"separation{by}", share=relative)
     yield Message("linear_drop")

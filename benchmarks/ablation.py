@@ -206,7 +206,7 @@ def _experiment(machine: str, settings: SimulationSettings) -> Accumulation:
 
 def _with_and_without(data: Accumulation, i_dq: FloatArray) -> FloatArray:
     """Return the fluxes (2, N, 2) at currents (N, 2), Wb, without and with the correction for current noise."""
-    solver = Solver(data.model, data.information.folds, data.information.counts)
+    solver = Solver.over(data.information)
     solution = solver.solve(INGREDIENTS)
     noise = CurrentNoise.met(data.evidence.noise_variance, data.information.kept())
     given_back, _ = correct_attenuation(solver, solution, noise)

@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from scipy import sparse
 from single_fit import Accumulation, Errors, solved
 
 from drive_id.bench.drive import Simulation
 from drive_id.core import frames
-from drive_id.core.full.model import RESISTANCE, SHIFT, VOLTAGE, FullModel, ModelSpec, basis, roughness
+from drive_id.core.full.model import RESISTANCE, SHIFT, VOLTAGE, FullModel, ModelSpec, roughness, sum_basis
 from drive_id.core.full.windows import SHIFTS, Windows
 from drive_id.core.maps.coenergy import GradientSpline
 from drive_id.core.maps.flux_models import TensorSpline, fitted, sites
@@ -48,7 +49,7 @@ def compared(simulation: Simulation, choice: ModelSpec) -> Iterator[tuple[str, E
 
 def _delay(data: Accumulation, choice: ModelSpec, products: FloatArray) -> float:
     """Estimate a delay of the voltages of up to a sample as one more unknown, its column being its own instrument."""
-    model, t = data.model, basis(data.model, choice)
+    model, t = data.model, sum_basis(data.model, choice)
     penalty = t.T @ roughness(model, data.total, choice.penalty) @ t
     voltage, shift = VOLTAGE, SHIFT.start + SHIFTS.index(-1)
     normal = np.block(
@@ -74,7 +75,8 @@ def _places(windows: Windows, simulation: Simulation) -> tuple[IntArray, IntArra
 
 def _rows(model: FullModel, windows: Windows) -> FloatArray:
     """Return the regression's rows (2 N, size)."""
-    return model.design(windows).reshape(-1, model.size)
+    each = sparse.eye_array(model.size, format="csr")
+    return model.design_times(windows, each, model.orders).reshape(-1, model.size)
 
 
 def _lagged(reference: FloatArray | None, measured: FloatArray) -> FloatArray:

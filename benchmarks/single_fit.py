@@ -10,7 +10,7 @@ from scipy import linalg, sparse
 
 from drive_id.bench.drive import Simulation
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.model import RESISTANCE, VOLTAGE, FullModel, ModelSpec, basis, roughness
+from drive_id.core.full.model import RESISTANCE, VOLTAGE, FullModel, ModelSpec, roughness, sum_basis
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.result.identify import gather
 from drive_id.core.validation.metrics import nrmse, true_flux
@@ -97,7 +97,7 @@ class Accumulation:
         return *flux, abs(float(estimate[RESISTANCE]) / (truth.resistance + slope) - 1), off
 
     def _basis(self, choice: ModelSpec, shape: int | None) -> sparse.csr_array:
-        t = basis(self.model, choice)
+        t = sum_basis(self.model, choice)
         if shape is None:
             return t
         kept = self.model.phase_columns()[shape]

@@ -24,6 +24,8 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 
 NANOSECONDS = 1_000_000_000
 """Of a second: stamps are whole numbers of them."""
+TINY = float(np.finfo(np.float64).tiny)
+"""Least divisor: keeps a ratio of nothing to nothing finite."""
 _LARGEST = 1e39
 """Limit for samples, just beyond float32: powers and sums of larger values overflow."""
 _LARGEST_SQUARE = 1e100

@@ -11,6 +11,7 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.checks.readings import LikelyReading, likely_reading
 from drive_id.core.checks.recognition import angle_like, is_count, likely_counts, rotation_of
+from drive_id.core.numerics.largest import USUAL_QUANTILE
 from drive_id.core.signals.equal_spacing import equal_spacing
 from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
@@ -243,7 +244,7 @@ def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str
             continue
         if samples is None:
             continue
-        largest = float(np.quantile(np.abs(frames.space_vector(samples.i_abc)), 0.999))
+        largest = float(np.quantile(np.abs(frames.space_vector(samples.i_abc)), USUAL_QUANTILE))
         in_rotor = "dq" in (i.group.frame, u.group.frame)
         found = likely_reading(_runs(samples), largest, (1,) if in_rotor else ratios) if largest > 0 else None
         if found is not None and (best is None or found.unexplained < best.reading.unexplained):

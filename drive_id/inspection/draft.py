@@ -222,10 +222,10 @@ class _DraftText:
                 )
         elif unit != "rad":
             lines.append(f"  angle_unit: {unit}")
-        pole_pairs = abs(reading.ratio)
+        pole_pairs = abs(reading.ratio[0])
         if pole_pairs != 1 or unit == "counts":
             lines += ["  mechanical: true", f"  pole_pairs: {pole_pairs}"]
-        if reading.ratio < 0:
+        if reading.ratio[0] < 0:
             lines.append("  direction: -1                   # counts against the order of the phases")
         lines += self._offset()
         coarse = 2 * np.pi * pole_pairs / choice.turn if unit == "counts" else 0.0
@@ -283,7 +283,7 @@ class _DraftText:
     def _reference(self) -> list[str]:
         """Return the pair of columns that the currents follow."""
         choice = self._choice
-        theta = choice.samples.angle * choice.reading.ratio + choice.reading.angle_offset
+        theta = choice.samples.angle * choice.reading.ratio[0] + choice.reading.angle_offset
         i_dq = frames.to_dq(choice.samples.i_abc, theta)
         clock, own = choice.samples.stamp, choice.currents.group.names
         for table in self._tables:

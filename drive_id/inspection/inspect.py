@@ -70,7 +70,7 @@ class Inspection:
             "path": str(self.contents.path),
             "kind": self.contents.kind,
             "topics": [_table_tree(table) for table in self.contents.tables],
-            "overview": self.overview and self.overview.figures(),
+            "overview": self.overview and dict(self.overview.figures),
             "findings": [finding_tree(finding) for finding in self.findings],
             "warnings": list(self.warnings),
             "draft": self.draft and {"text": self.draft.text, "unsure": list(self.draft.unsure)},

@@ -101,14 +101,15 @@ def overview_picture(view: Overview, figure_format: str = "png") -> bytes:
         if np.isfinite(view.reference_dq).any() and row == 0:
             axes.legend(fontsize=NORMAL, loc="upper right")
     axes = figure.add_subplot(grid[2, 0])
-    axes.plot(view.time, view.speed_curve * 30 / np.pi, linewidth=0.5)
+    axes.plot(view.time, view.speed * 30 / np.pi, linewidth=0.5)
     name(axes, "Electrical speed", "Time / s", "Speed / rpm")
     axes = figure.add_subplot(grid[:, 1])
     axes.plot(view.i_dq[:, 0], view.i_dq[:, 1], ".", markersize=1)
     turn = np.linspace(0, 2 * np.pi, 200)
-    axes.plot(view.i_max * np.cos(turn), view.i_max * np.sin(turn), color="0.5", linewidth=0.8)
+    i_max, coverage = view.figures["i_max"], view.figures["coverage"]
+    axes.plot(i_max * np.cos(turn), i_max * np.sin(turn), color="0.5", linewidth=0.8)
     axes.set_aspect("equal")
-    name(axes, f"Disc of {view.i_max:.4g} A, {100 * view.coverage:.0f} % visited", "i_d / A", "i_q / A")
+    name(axes, f"Disc of {i_max:.4g} A, {100 * coverage:.0f} % visited", "i_d / A", "i_q / A")
     return rendered(figure, figure_format)
 
 

@@ -21,17 +21,17 @@ def inspection_tables(found: Inspection) -> Iterator[Table]:
     yield from contents_tables(found.contents)
     if found.overview is None:
         return
-    view = found.overview
+    seen = found.overview.figures
     table = plain_table("Joined samples", ["Quantity", "Value"])
-    low, mean, high = view.speed * 30 / np.pi
-    (d_low, q_low), (d_high, q_high) = view.i_dq_range.tolist()
-    table.add_row("Samples", f"{view.samples} every {view.sample_period * 1e6:.6g} µs, {view.duration:.4g} s")
-    table.add_row("Gaps", f"{view.runs - 1}, {view.time_lost:.4g} s in total")
+    low, mean, high = (seen[name] * 30 / np.pi for name in ("speed_min", "speed_mean", "speed_max"))
+    every = f"{seen['sample_period'] * 1e6:.6g} µs"
+    table.add_row("Samples", f"{seen['samples']} every {every}, {seen['duration']:.4g} s")
+    table.add_row("Gaps", f"{seen['runs'] - 1}, {seen['time_lost']:.4g} s in total")
     table.add_row("Electrical speed", f"{low:.5g} to {high:.5g} rpm, mean {mean:.5g} rpm")
-    table.add_row("Turn per sample", f"{np.rad2deg(view.turn):.3g}° electrical")
-    table.add_row("i_d", f"{d_low:.4g} to {d_high:.4g} A")
-    table.add_row("i_q", f"{q_low:.4g} to {q_high:.4g} A")
-    table.add_row("Disc", f"{view.i_max:.4g} A, {100 * view.coverage:.0f} % visited")
+    table.add_row("Turn per sample", f"{np.rad2deg(seen['turn_per_sample']):.3g}° electrical")
+    table.add_row("i_d", f"{seen['i_d_min']:.4g} to {seen['i_d_max']:.4g} A")
+    table.add_row("i_q", f"{seen['i_q_min']:.4g} to {seen['i_q_max']:.4g} A")
+    table.add_row("Disc", f"{seen['i_max']:.4g} A, {100 * seen['coverage']:.0f} % visited")
     yield table
 
 

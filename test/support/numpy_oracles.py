@@ -112,33 +112,20 @@ def add_end(
     turn: FloatArray,
     start: IntArray,
     factor: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Add the flux at one end of windows, see :mod:`drive_id.core.full.model`."""
-    window = np.arange(len(column))[:, None]
-    d, q = value[:, 0], value[:, 1]
-    for first, share in zip(start, factor, strict=True):
-        cosine, sine = (turn * share[:, None]).T[:, :, None]
-        for row, component, term in ((0, 0, cosine * d), (0, 1, -sine * q), (1, 0, sine * d), (1, 1, cosine * q)):
-            out[window, row, first + column[:, component]] += term
-
-
-def add_end_through(
-    column: NDArray[np.int32],
-    value: FloatArray,
-    turn: FloatArray,
-    start: IntArray,
-    factor: FloatArray,
     first: IntArray,
     unknown: IntArray,
     share: FloatArray,
     out: FloatArray,
 ) -> None:
     """Add the flux at one end of windows, times a sparse matrix, see :mod:`drive_id.core.full.model`."""
-    size = len(first) - 1
-    t = sparse.csr_array((share, unknown, first), (size, out.shape[2]))
+    size, window = len(first) - 1, np.arange(len(column))[:, None]
     rows = np.zeros((len(column), 2, size))
-    add_end(column, value, turn, start, factor, rows)
+    d, q = value[:, 0], value[:, 1]
+    for begin, part in zip(start, factor, strict=True):
+        cosine, sine = (turn * part[:, None]).T[:, :, None]
+        for row, component, term in ((0, 0, cosine * d), (0, 1, -sine * q), (1, 0, sine * d), (1, 1, cosine * q)):
+            rows[window, row, begin + column[:, component]] += term
+    t = sparse.csr_array((share, unknown, first), (size, out.shape[2]))
     out += (rows.reshape(-1, size) @ t).reshape(out.shape)
 
 

@@ -20,21 +20,16 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
-from drive_id.types import FloatArray, Samples
+from drive_id.types import TINY, FloatArray, Samples
 
 DELAYS = tuple(np.arange(-2.0, 2.01, 0.25).tolist())
 """Delays of the voltages that are tried, samples."""
-_SIZE = 16  # unknowns of the rough model
-_RESISTANCE = 0  # columns of the unknowns, from here on
-_DROP = 1
-_MAGNET = slice(2, 4)
-_INDUCTANCE = 4
-_SATURATION = 5
-_SALIENCY = slice(6, 8)
+_RESISTANCE, _DROP, _INDUCTANCE, _SATURATION, _SIZE = 0, 1, 4, 5, 16
+_MAGNET, _SALIENCY = slice(2, 4), slice(6, 8)
+"""Columns of the unknowns of the rough model, and their number."""
 _WINDOW_TURN = np.pi / 3  # rad: as in method full
 _LONGEST_WINDOW = 512  # samples: bounds the drift of an offset at low speed
 _NODES = 750  # most windows of a run in a fit: 16 unknowns need no more
-_FEW_NODES = 250  # likewise in the search for the likeliest of 130 readings
 _SIGN_WIDTH = 0.02
 """Width of the smoothed sign relative to the largest current."""
 _RIDGE = 1e-9  # of the unit diagonal: keeps columns without data solvable, far below their noise
@@ -61,6 +56,19 @@ class Reading:
     mirrored: bool = False
     reversed_current: int = -1
     reversed_voltage: int = -1
+
+    @property
+    def voltage_order(self) -> tuple[int, int, int]:
+        """In which order to read the phases of voltages that are turned by whole steps."""
+        order, turned = (0, 2, 1) if self.mirrored else (0, 1, 2), int(self.turned)
+        thirds = ((turned + 3) % 6 if turned % 2 else turned) // 2
+        a, b, c = (order[(k - thirds) % 3] for k in range(3))
+        return a, b, c
+
+    @property
+    def voltage_sign(self) -> int:
+        """The sign of these voltages."""
+        return -1 if self.turned % 2 else 1
 
 
 DECLARED = Reading()
@@ -106,10 +114,6 @@ class Excerpt:
     ----------
     i_max : float
         Current by which currents are scaled, A.
-    period : float
-        s.
-    i_abc, u_abc : (N, 3) float
-        A, V.
     angle : (N,) float
         Unwrapped, rad.
     i_s : (N,) complex
@@ -124,10 +128,8 @@ class Excerpt:
         Most windows.
     """
 
+    run: Samples
     i_max: float
-    period: float
-    i_abc: FloatArray
-    u_abc: FloatArray
     angle: FloatArray
     i_s: ComplexArray
     lossy: ComplexArray
@@ -136,28 +138,20 @@ class Excerpt:
     nodes: int = _NODES
 
     def coarse(self) -> Excerpt:
-        """Return the excerpt with fewer windows."""
-        return replace(self, nodes=_FEW_NODES)
+        """Return the excerpt with fewer windows, for the search for the likeliest of 130 readings."""
+        return replace(self, nodes=_NODES // 3)
 
     @classmethod
     def of(cls, run: Samples, i_max: float) -> Excerpt:
         """Integrate a gap-free run."""
-        return cls._integrated(run.i_abc, run.u_abc, np.unwrap(run.angle), run.sample_period, i_max)
-
-    @classmethod
-    def _integrated(
-        cls, i_abc: FloatArray, u_abc: FloatArray, angle: FloatArray, period: float, i_max: float
-    ) -> Excerpt:
-        i_s, u_s = frames.space_vector(i_abc / i_max), frames.space_vector(u_abc)
-        sign = frames.space_vector(np.tanh(i_abc / (_SIGN_WIDTH * i_max)))
+        period, i_s, u_s = run.sample_period, frames.space_vector(run.i_abc / i_max), frames.space_vector(run.u_abc)
+        sign = frames.space_vector(np.tanh(run.i_abc / (_SIGN_WIDTH * i_max)))
         turn = abs(float(np.angle(np.vdot(u_s[:-1], u_s[1:]))))
         longest = min(_LONGEST_WINDOW, max(len(i_s) // 4, 1))
         return cls(
+            run,
             i_max,
-            period,
-            i_abc,
-            u_abc,
-            angle,
+            np.unwrap(run.angle),
             i_s,
             lossy=np.array([_trapezoids(x, period) for x in (i_s, sign)]),
             volts=np.asarray(period * np.concatenate([[0j], np.cumsum(u_s)])),
@@ -169,9 +163,9 @@ class Excerpt:
         if reading.reversed_current < 0 and reading.reversed_voltage < 0:
             return self
         phases = np.arange(3)
-        i_abc = np.where(phases == reading.reversed_current, -self.i_abc, self.i_abc)
-        u_abc = np.where(phases == reading.reversed_voltage, -self.u_abc, self.u_abc)
-        return self._integrated(i_abc, u_abc, self.angle, self.period, self.i_max)
+        i_abc = np.where(phases == reading.reversed_current, -self.run.i_abc, self.run.i_abc)
+        u_abc = np.where(phases == reading.reversed_voltage, -self.run.u_abc, self.run.u_abc)
+        return Excerpt.of(replace(self.run, i_abc=i_abc, u_abc=u_abc), self.i_max)
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,7 +289,7 @@ def _flux_terms(i: ComplexArray) -> ComplexArray:
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve the normal equations without negative inductance, resistance and drop."""
     free = list(range(_SIZE))
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
+    scale = np.sqrt(np.maximum(np.diag(matrix), TINY))
     while True:
         scaled = matrix[np.ix_(free, free)] / np.outer(scale[free], scale[free]) + _RIDGE * np.eye(len(free))
         x = np.zeros(_SIZE)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drive_id.core import frames
+from drive_id.core.checks.radius import WEAK_COVERAGE
 from drive_id.core.maps.coverage import Visits, disc_coverage
 from drive_id.core.signals.join import Piece
 from drive_id.messages import Message
@@ -16,7 +17,6 @@ from drive_id.types import FloatArray
 _POINTS = 4096  # of a curve: more than a picture has columns
 _NODES = 33  # per axis of the plane in which coverage is counted
 _REACH = 4.0  # part of i_max within which a sample covers a node
-_LEAST_COVERAGE = 0.45  # of the disc: as the fit warns
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,71 +25,30 @@ class Overview:
 
     Parameters
     ----------
-    samples, runs : int
-        And gap-free runs.
-    duration, sample_period, time_lost : float
-        s; the time lost is that between runs.
-    speed : (3,) float
-        Least, mean and largest electrical speed, rad/s.
-    turn : float
-        Root mean square electrical turn per sample, rad.
-    i_dq_range : (2, 2) float
-        Least and largest i_d and i_q, A.
-    i_max : float
-        Radius of the disc for the coverage, A.
-    coverage : float
-        Share of this disc with samples, 0 to 1.
+    figures : dict of str to float
+        SI units; speeds are electrical, the turn per sample is a root mean square, the time lost that between gap-free
+        runs, and the coverage the share of the disc of radius i_max with samples, 0 to 1.
     time : (P,) float
         Of the curves, s after the first sample.
     i_dq, reference_dq : (P, 2) float
         A; the references are NaN where there are none.
-    speed_curve : (P,) float
+    speed : (P,) float
         rad/s.
     """
 
-    samples: int
-    runs: int
-    duration: float
-    sample_period: float
-    time_lost: float
-    speed: FloatArray
-    turn: float
-    i_dq_range: FloatArray
-    i_max: float
-    coverage: float
+    figures: dict[str, float]
     time: FloatArray
     i_dq: FloatArray
     reference_dq: FloatArray
-    speed_curve: FloatArray
-
-    def figures(self) -> dict[str, float]:
-        """Return the figures by name, SI units."""
-        (i_d_low, i_q_low), (i_d_high, i_q_high) = self.i_dq_range.tolist()
-        low, mean, high = self.speed.tolist()
-        return {
-            "samples": self.samples,
-            "runs": self.runs,
-            "duration": self.duration,
-            "sample_period": self.sample_period,
-            "time_lost": self.time_lost,
-            "speed_min": low,
-            "speed_mean": mean,
-            "speed_max": high,
-            "turn_per_sample": self.turn,
-            "i_d_min": i_d_low,
-            "i_d_max": i_d_high,
-            "i_q_min": i_q_low,
-            "i_q_max": i_q_high,
-            "i_max": self.i_max,
-            "coverage": self.coverage,
-        }
+    speed: FloatArray
 
     def findings(self) -> Iterator[Message]:
         """Yield gaps, and a disc that is hardly filled."""
-        if self.runs > 1:
-            yield Message("gaps", gaps=self.runs - 1, time_lost=self.time_lost)
-        if self.coverage < _LEAST_COVERAGE:
-            yield Message("coverage", coverage=self.coverage, i_max=self.i_max)
+        figures = self.figures
+        if figures["runs"] > 1:
+            yield Message("gaps", gaps=figures["runs"] - 1, time_lost=figures["time_lost"])
+        if figures["coverage"] < WEAK_COVERAGE:
+            yield Message("coverage", coverage=figures["coverage"], i_max=figures["i_max"])
 
 
 class Overviewing:
@@ -146,19 +105,22 @@ class Overviewing:
         inside = visits.inside(i_max / _REACH, i_max / _REACH)
         rows = np.concatenate(self._rows)
         rows = rows[:: max(len(rows) // _POINTS, 1)]
-        return Overview(
-            samples=self._samples,
-            runs=self._runs,
-            duration=self._samples * self._period,
-            sample_period=self._period,
-            time_lost=self._lost * 1e-9,
-            speed=self._speed / [1.0, self._samples, 1.0],
-            turn=float(np.sqrt(self._square / self._samples)),
-            i_dq_range=np.array([self._low, self._high]),
-            i_max=i_max,
-            coverage=disc_coverage(axis, axis, inside, i_max),
-            time=rows[:, 0],
-            i_dq=rows[:, 1:3],
-            reference_dq=rows[:, 3:5],
-            speed_curve=rows[:, 5],
-        )
+        low, total, high = self._speed.tolist()
+        figures = {
+            "samples": self._samples,
+            "runs": self._runs,
+            "duration": self._samples * self._period,
+            "sample_period": self._period,
+            "time_lost": self._lost * 1e-9,
+            "speed_min": low,
+            "speed_mean": total / self._samples,
+            "speed_max": high,
+            "turn_per_sample": float(np.sqrt(self._square / self._samples)),
+            "i_d_min": float(self._low[0]),
+            "i_d_max": float(self._high[0]),
+            "i_q_min": float(self._low[1]),
+            "i_q_max": float(self._high[1]),
+            "i_max": i_max,
+            "coverage": disc_coverage(axis, axis, inside, i_max),
+        }
+        return Overview(figures, rows[:, 0], rows[:, 1:3], rows[:, 3:5], rows[:, 5])

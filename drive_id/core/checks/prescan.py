@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.checks.readings import degree_findings, reading_findings
 from drive_id.core.checks.rotor import (
+    SPEED_TOLERANCE,
     motion_findings,
     rotation_finding,
     speed_lag,
@@ -25,7 +26,7 @@ from drive_id.core.checks.waveforms import waveform_findings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.compiled import compiled
-from drive_id.core.numerics.largest import KEPT, Largest, top_quantile
+from drive_id.core.numerics.largest import KEPT, USUAL_QUANTILE, Largest, top_quantile
 from drive_id.core.numerics.scans import all_finite
 from drive_id.core.signals.join import Piece
 from drive_id.core.signals.signal import finite_rows
@@ -34,26 +35,20 @@ from drive_id.messages import Message
 from drive_id.origins import FULL, ORIGINS
 from drive_id.types import FloatArray, Samples
 
-USUAL_QUANTILE = 0.999
-"""Share of the samples below the usual amplitude."""
 SPIKE_FACTOR = 1.2
 """Ratio to the usual amplitude above which a sample is a spike, which does not widen the map."""
 _FAULT_FACTOR = 10.0
 """Ratio to the usual amplitude above which a sample shows a faulty sensor or field and is refused."""
 _NOISE_SHARE = 0.1  # rms step over the range of a current: a trajectory takes many samples from end to end
-_RESOLVER_TOLERANCE = 0.02  # of the ratio of angle and speed, which a poor time base may have
-_LEAST_TURN = 2 * np.pi  # rad, electrical: each position once
 _LOCKED_TURN = np.deg2rad(2.0)
 """Electrical angle that a locked rotor may give: a 24th harmonic changes by its amplitude within it."""
 _WINDOW = 128  # advances of the rotor summed before speed and angle are compared: noise of the speed averages out
-_JUMP = 0.2  # rad between angle and speed within a sample, beyond any resolver's error
-_JUMP_FACTOR = 5.0  # by the usual one, where a slow speed signal makes it large
-_TINY = 1e-160  # scale of the sums for values whose squares overflow
-_LEAST = 1e-100  # A, below which the plain square might underflow
-_MOST = 1e100  # A, above which it might overflow
-_SPAN = 1 << 13  # samples in a row of the excerpt: some turns of a slow machine
-_SPANS = 16  # of them, evenly spread: 131 072 samples in all, so that checks take no time that users feel
-_MOST_RUNS = 16  # gap-free runs of the excerpt, the longest, that are checked
+_JUMP, _JUMP_FACTOR = 0.2, 5.0
+"""Rad between angle and speed within a sample, beyond any resolver's error, and by how much more than usual where a
+slow speed signal makes it large."""
+_SPAN, _SPANS = 1 << 13, 16
+"""Samples in a row of the excerpt, some turns of a slow machine, and their number, evenly spread, which is also that of
+the gap-free runs that are checked: 131 072 samples in all take no time that users feel."""
 _SHORTEST_RUN = 32  # samples that a run must have to hold a window
 _ERRORS: dict[str, type[DataError]] = {
     "standstill": StandstillError,
@@ -80,8 +75,9 @@ class Prescan:
         self._turns: FloatArray = np.zeros((2, 4))  # see _follow_rotor; by the speed, and by the angle
         self._turns[:, 1], self._turns[:, 2] = np.inf, -np.inf
         self._products: FloatArray = np.zeros(4)  # see _follow_rotor
-        self._extremes: FloatArray = np.array([[np.inf, np.inf], [-np.inf, -np.inf]])
-        self._step_square: FloatArray = np.zeros((2, 2))
+        self._low: FloatArray = np.full(2, np.inf)  # of i_d and i_q, A
+        self._high: FloatArray = np.full(2, -np.inf)
+        self._step_square: FloatArray = np.zeros(2)
         self._steps = 0
         self._amplitudes = Largest(3, kept)  # with i_d, i_q, and whether the reference is known
         self._jumps = Largest(1, kept)  # with their time, s
@@ -101,7 +97,7 @@ class Prescan:
     def copy(self) -> Prescan:
         """Return an independent copy."""
         other = copy.copy(self)
-        for name in ("_turns", "_products", "_extremes", "_step_square", "_amplitudes", "_jumps"):
+        for name in ("_turns", "_products", "_amplitudes", "_jumps"):
             setattr(other, name, getattr(self, name).copy())
         other._excerpt = self._excerpt.copy()  # noqa: SLF001  # of its own class
         other._single = self._single.copy()  # noqa: SLF001
@@ -123,15 +119,17 @@ class Prescan:
             self._periods += (samples.sample_period,)
         self.samples += len(samples) - continues
         i_dq = frames.to_dq(samples.i_abc, samples.angle)
+        self._low, self._high = np.minimum(self._low, i_dq.min(axis=0)), np.maximum(self._high, i_dq.max(axis=0))
         rows, jumps = np.empty((len(samples), 4)), np.zeros((len(samples), 2))
-        jumps[:, 1] = (samples.stamp - self._begin) * 1e-9
+        rows[:, 1:3], jumps[:, 1] = i_dq, (samples.stamp - self._begin) * 1e-9
         rows[new, 3] = self._add_references(samples.i_dq_reference, new)
+        rows[:, 0] = np.sqrt(i_dq[:, 0] ** 2 + i_dq[:, 1] ** 2)
         for run in samples.runs():
+            self._step_square = self._step_square + np.sum(np.diff(i_dq[run], axis=0) ** 2, axis=0)
+            self._steps += run.stop - run.start - 1
             _follow_rotor(
                 samples.angle[run], samples.speed[run], samples.sample_period, self._turns, self._products, jumps[run]
             )
-            _scan_currents(i_dq[run], rows[run], self._extremes, self._step_square)
-            self._steps += run.stop - run.start - 1
         self._single.add(samples, i_dq, jumps[:, 1], continues=continues)
         self._amplitudes.add(rows[new])
         self._jumps.add(jumps[new])
@@ -139,7 +137,7 @@ class Prescan:
     @property
     def _usual(self) -> float:
         """Amplitude below which 99.9 % of the samples lie, A; 0 without samples."""
-        return self._amplitudes.quantile(USUAL_QUANTILE) if self.samples else 0.0
+        return self._amplitudes.quantile() if self.samples else 0.0
 
     @property
     def radius(self) -> float:
@@ -190,22 +188,23 @@ class Prescan:
 
     def _judge(self, *, turning: bool) -> Iterator[Message]:
         runs = sorted((run for run in self._excerpt.runs() if len(run) >= _SHORTEST_RUN), key=len, reverse=True)
-        runs = sorted(runs[:_MOST_RUNS], key=lambda run: int(run.stamp[0]))
-        steps: tuple[Callable[[], Iterator[Message]], ...] = (
-            lambda: time_findings(self._periods),
-            lambda: unit_findings(runs) if runs else iter(()),
-            self._on_jumps,
-            lambda: self._on_rotation(runs) if turning else self._on_locked(),
-            lambda: degree_findings(runs, self._usual) if runs else iter(()),
-            self._on_trajectory,
-            lambda: self._single.findings(self._usual),
-            lambda: waveform_findings(runs, self._usual) if runs else iter(()),
-            lambda: motion_findings(runs) if runs else iter(()),
-            lambda: reading_findings(runs, self._usual) if runs else iter(()),
+        runs = sorted(runs[:_SPANS], key=lambda run: int(run.stamp[0]))
+        usual, none = self._usual, iter(())
+        steps = (
+            time_findings(self._periods),
+            unit_findings(runs) if runs else none,
+            self._on_jumps(),
+            self._on_rotation(runs) if turning else self._on_locked(),
+            degree_findings(runs, usual) if runs else none,
+            self._on_trajectory(),
+            self._single.findings(usual),
+            waveform_findings(runs, usual) if runs else none,
+            motion_findings(runs) if runs else none,
+            reading_findings(runs, usual) if runs else none,
         )
         for step in steps:
             refused = False
-            for finding in step():
+            for finding in step:
                 refused = refused or finding.kind == "error"
                 yield finding
             if refused:
@@ -252,7 +251,7 @@ class Prescan:
         if not self.samples:
             return
         jumps = self._jumps.rows()
-        found = jumps[jumps[:, 0] > max(_JUMP, _JUMP_FACTOR * self._jumps.quantile(USUAL_QUANTILE))]
+        found = jumps[jumps[:, 0] > max(_JUMP, _JUMP_FACTOR * self._jumps.quantile())]
         if len(found):
             by, at = found[found[:, 1].argmin()]
             yield Message("angle_jump", jumps=len(found), time=at, jump=by)
@@ -269,25 +268,23 @@ class Prescan:
 
     def _on_rotation(self, runs: Sequence[Samples]) -> Iterator[Message]:
         turned = self._turned
-        if turned < _LEAST_TURN:
+        if turned < 2 * np.pi:  # electrical: each position once
             yield standstill_finding(turned, float(self._products[3]))
             return
         expected, advance = self._turns[:, 3]
         square, product = self._products[0] + expected**2, self._products[1] + expected * advance
         ratio = float(product / square) if square > 0 else 0.0
-        if not abs(ratio - 1) <= _RESOLVER_TOLERANCE and math.isnan(speed_lag(runs)):
+        if not abs(ratio - 1) <= SPEED_TOLERANCE and math.isnan(speed_lag(runs)):
             yield rotation_finding(ratio)
 
     def _on_trajectory(self) -> Iterator[Message]:
         if self._referenced == self.samples and (self._reference_low == self._reference_high).all():
             d, q = self._reference_low
             yield Message("held_references", i_d=d, i_q=q)
-        finite = bool(np.isfinite(self._step_square[0]).all())
-        step = np.sqrt(self._step_square[0 if finite else 1] / max(self._steps, 1)) / (1.0 if finite else _TINY)
-        low, high = self._extremes
-        if np.any(step >= _NOISE_SHARE * (high - low)):
-            worst = int(np.argmax(step / np.maximum(high - low, 1e-300)))
-            yield Message("no_trajectory", range=(high - low)[worst], axis="dq"[worst])
+        step, moved = np.sqrt(self._step_square / max(self._steps, 1)), self._high - self._low
+        if np.any(step >= _NOISE_SHARE * moved):
+            worst = int(np.argmax(step / np.maximum(moved, 1e-300)))
+            yield Message("no_trajectory", range=moved[worst], axis="dq"[worst])
         largest, usual = float(self._amplitudes.rows()[:, 0].max()), self._usual
         if largest > _FAULT_FACTOR * usual:
             yield Message("current_spike", largest=largest, usual=usual, share=USUAL_QUANTILE)
@@ -335,44 +332,3 @@ def _wrapped(angle: float) -> float:
     """Return the angle, rad, between -pi and pi."""
     wrapped: float = angle - 2.0 * np.pi * np.rint(angle / (2.0 * np.pi))
     return wrapped
-
-
-@compiled("const f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1]")
-def _scan_currents(i_dq: FloatArray, rows: FloatArray, extremes: FloatArray, steps: FloatArray) -> None:
-    """Scan the currents (N, 2), A, of one run.
-
-    Parameters
-    ----------
-    i_dq : (N, 2) float
-    rows : (N, C) float
-        The first three columns become amplitude, i_d and i_q.
-    extremes : (2, 2) float
-        Least and largest i_d and i_q; widened.
-    steps : (2, 2) float
-        Sums of the squared steps of i_d and i_q, as they are and scaled against overflow; increased.
-    """
-    for k in range(len(i_dq)):
-        d, q = i_dq[k, 0], i_dq[k, 1]
-        larger = max(abs(d), abs(q))
-        rows[k, 0] = math.sqrt(d * d + q * q) if _LEAST < larger < _MOST else math.hypot(d, q)
-        rows[k, 1], rows[k, 2] = d, q
-    for axis in range(2):
-        low, high, before = extremes[0, axis], extremes[1, axis], i_dq[0, axis]
-        total = 0.0
-        for k in range(len(i_dq)):
-            now = i_dq[k, axis]
-            if now < low:  # noqa: PLR1730  # min and max care for NaN, and take twice as long
-                low = now
-            if now > high:  # noqa: PLR1730
-                high = now
-            total += (now - before) * (now - before)
-            before = now
-        tiny = total * _TINY * _TINY
-        if not total < _MOST:
-            tiny = 0.0
-            for k in range(1, len(i_dq)):
-                step = _TINY * (i_dq[k, axis] - i_dq[k - 1, axis])
-                tiny += step * step
-        extremes[0, axis], extremes[1, axis] = low, high
-        steps[0, axis] += total
-        steps[1, axis] += tiny

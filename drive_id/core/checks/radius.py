@@ -9,7 +9,7 @@ from drive_id.errors import CoverageError
 from drive_id.messages import Message
 
 _LEAST_COVERAGE = 0.05  # of the disc: a map of less is a line
-_WEAK_COVERAGE = 0.45  # a quadrant or half a disc, and some more, is covered from which on nothing is said
+WEAK_COVERAGE = 0.45  # a quadrant or half a disc, and some more, is covered from which on nothing is said
 _MUCH_TOO_SMALL = 2.0  # currents over i_max: three quarters of the plane would be left out
 _TOO_LARGE = 0.7  # largest current over i_max: half of the disc stays empty
 _EMPTY_HALF = 0.5  # coverage of a half-plane over that of the best one, below which it is named
@@ -42,7 +42,7 @@ def radius_warnings(evidence: Evidence, coverage: float) -> list[Message]:
     warnings, sizes = [], _sizes(evidence, coverage)
     if _too_large(evidence):
         warnings.append(Message("disc_too_large", **sizes))
-    elif coverage < _WEAK_COVERAGE:
+    elif coverage < WEAK_COVERAGE:
         half, covered = _emptiest_half(evidence)
         warnings.append(Message("little_coverage.data", half=half, covered=covered, **sizes))
     if outside := evidence.information.outside:

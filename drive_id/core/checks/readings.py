@@ -10,6 +10,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.checks.balance import DELAYS, Excerpt, Reading, RoughFit, residuals, rough_fit
+from drive_id.core.numerics.largest import USUAL_QUANTILE
 from drive_id.messages import Message, Value
 from drive_id.types import FloatArray, Samples
 
@@ -17,7 +18,8 @@ _BAD = 0.05
 """Unexplained share of the voltage above which other readings are tried."""
 _BETTER = 1 / 3
 """Largest ratio of unexplained voltage, to that of the declared reading, at which another reading is proposed."""
-_BETTER_ROTATED = 0.6  # likewise for voltages turned by odd multiples of 30 degrees: 0.96 at best on 34 random drives
+_LITTLE_BETTER = 0.6
+"""Likewise for voltages shifted in time or turned by odd multiples of 30 degrees, 0.96 at best on 34 random drives."""
 _BETTER_MISTAKEN = 0.5  # likewise for currents and voltages exchanged: 2.2 at best on the same drives
 _ALIKE = 1.02  # ratio of unexplained voltages within which the reading with the least factor is taken
 _REFUSED = 0.1  # unexplained share of the voltage above which a far better reading is an error, below a warning
@@ -40,20 +42,16 @@ _DECIMATED_SHARE = 1.05  # unexplained voltage without that delay over that with
 _LARGE_TURN = 0.2  # speed times sample period that only degrees have, as most drives turn by less, rad
 _SLOW_RATE = 2100.0  # Hz, below which inverters rarely switch
 _LATE = 40  # samples of delay that are tried both ways
-_SHIFTED = 0.6  # unexplained voltage with the delay over that without
 _RESTING = 0.05
 """Mean phase current of a part at rest, relative to i_max."""
-_PART = 0.2  # s, in which a loose contact shows
-_OUTLYING = 30.0  # squared residual of a part over the median of all
-_LEAST_OUTLYING = 0.06  # its unexplained voltage over the rms of all: less does not distort a map
-_FEWEST_PARTS = 8  # for a median
+_PART, _FEWEST_PARTS = 0.2, 8
+"""Duration of a part, s, in which a loose contact shows, and fewest parts for a median."""
+_OUTLYING, _LEAST_OUTLYING = 30.0, 0.06
+"""Squared residual of an outlying part over the median of all, and its unexplained voltage over the rms of all: less
+does not distort a map."""
 _RAMP = 0.3  # relative range of speeds beyond which the parts are not alike
-_USUAL = 0.999
-"""Quantile that stands for the largest voltage, without spikes."""
 _BETWEEN_PHASES = tuple(Reading(turned=half_turns) for half_turns in (-0.5, 0.5, -1.5, 1.5, -2.5, 2.5))
 """Voltages between two phases, 30 degrees ahead of those of a phase or so, in all their orders."""
-_SWAPPED = {0: "b and c", 2: "a and b", 4: "a and c"}
-_ORDER = {2: "c, a, b", 4: "b, c, a"}
 
 
 def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
@@ -88,44 +86,22 @@ def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]
 
 
 @dataclass(frozen=True)
-class LikelyReading:
+class LikelyReading(Reading):
     """What explains the voltages best, tried on signals of unknown meaning.
 
     Parameters
     ----------
-    ratio : int
-        Factor on the angle; negative: it runs against the order of the phases.
     angle_offset : float
         To add to the angle then, rad.
     certain_offset : bool
         Whether a magnet shows it; without one it is known up to multiples of 90 degrees.
     unexplained : float
         Share of the voltage that a rough model leaves unexplained, 0 to 1.
-    turned : int
-        Rotation of the voltages against the currents, in steps of 60 degrees, after which this holds; 0 for none.
-    mirrored : bool
-        Whether two phases of the voltages must be exchanged, before they are turned.
     """
 
-    ratio: int
-    angle_offset: float
-    certain_offset: bool
-    unexplained: float
-    turned: int = 0
-    mirrored: bool = False
-
-    @property
-    def voltage_order(self) -> tuple[int, int, int]:
-        """Return in which order to read the phases of the voltages."""
-        order = (0, 2, 1) if self.mirrored else (0, 1, 2)
-        thirds = ((self.turned + 3) % 6 if self.turned % 2 else self.turned) // 2
-        a, b, c = (order[(k - thirds) % 3] for k in range(3))
-        return a, b, c
-
-    @property
-    def voltage_sign(self) -> int:
-        """Return the sign of the voltages."""
-        return -1 if self.turned % 2 else 1
+    angle_offset: float = 0.0
+    certain_offset: bool = False
+    unexplained: float = 0.0
 
 
 def likely_reading(runs: Sequence[Samples], i_max: float, ratios: Sequence[int] | None = None) -> LikelyReading | None:
@@ -152,9 +128,11 @@ def likely_reading(runs: Sequence[Samples], i_max: float, ratios: Sequence[int] 
     if best is None:
         return None
     certain = abs(best.magnet) > _LEAST_MAGNET * best.inductance * i_max
-    reading = best.reading
     return LikelyReading(
-        reading.ratio[0], _offset_of(best, i_max), certain, best.unexplained, int(reading.turned), reading.mirrored
+        **vars(best.reading),
+        angle_offset=_offset_of(best, i_max),
+        certain_offset=certain,
+        unexplained=best.unexplained,
     )
 
 
@@ -185,7 +163,7 @@ def _best_other(runs: Sequence[Excerpt], declared: RoughFit) -> RoughFit | None:
     fits = (rough_fit(some, reading, (0.0, 1.0, -1.0)) for reading in (*others, *_BETWEEN_PHASES))
     likely = min((fit for fit in fits if fit is not None), key=lambda fit: fit.unexplained, default=declared)
     best = rough_fit(runs, likely.reading)
-    limit = _BETTER_ROTATED if likely.reading in _BETWEEN_PHASES else _BETTER
+    limit = _LITTLE_BETTER if likely.reading in _BETWEEN_PHASES else _BETTER
     return best if best is not None and best.unexplained < limit * declared.unexplained else None
 
 
@@ -195,7 +173,7 @@ def _mistaken(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | No
     found: list[tuple[RoughFit, str, str | None]] = []
     for code, signals, taken in _mistakes(pairs=declared.unexplained > _BAD):
         others = [taken(run) for run in some]
-        largest = max(float(np.quantile(np.abs(run.i_abc), _USUAL)) for run in others)
+        largest = max(float(np.quantile(np.abs(run.i_abc), USUAL_QUANTILE)) for run in others)
         fit = rough_fit([Excerpt.of(run, largest).coarse() for run in others]) if largest > 0 else None
         found += [] if fit is None else [(fit, code, signals)]
     fit, code, signals = min(found, key=lambda each: each[0].unexplained, default=(declared, "", None))
@@ -263,16 +241,17 @@ def _meaning(reading: Reading) -> tuple[str, dict[str, Value]]:
 
 def _of_phases(reading: Reading) -> tuple[str, dict[str, Value]]:
     """Describe a wrong order or sign of the phases; half a turn is a sign."""
-    negative = reading.turned % 2 == 1
-    thirds = int((reading.turned + 3) % 6 if negative else reading.turned)
-    against = reading.ratio[0] < 0
+    negative, order, against = reading.voltage_sign < 0, reading.voltage_order, reading.ratio[0] < 0
     if reading.mirrored:
+        phases = " and ".join("abc"[k] for k, at in enumerate(order) if at != k)
         signal = "currents" if against else "voltages"
-        return "phases_swapped", {"phases": _SWAPPED[thirds], "signal": signal, "negative": negative}
+        return "phases_swapped", {"phases": phases, "signal": signal, "negative": negative}
     remedies = ["make the scale of the currents negative, which are positive into the machine"] if negative else []
     remedies += ["change the sign of angle and speed"] if against else []
     remedy: dict[str, Value] = {"remedy": " and ".join(remedies)} if remedies else {}
-    return ("phases_shifted", {"order": _ORDER[thirds], **remedy}) if thirds else ("current_sign", remedy)
+    if order == (0, 1, 2):
+        return "current_sign", remedy
+    return "phases_shifted", {"order": ", ".join("abc"[k] for k in order), **remedy}
 
 
 def _of_angle(over: int, under: int) -> tuple[str, dict[str, Value]]:
@@ -291,9 +270,13 @@ def _time_shift(runs: Sequence[Excerpt], declared: RoughFit) -> Message | None:
     """Return a finding if the voltages are many samples early or late; None if a shift explains no more."""
     delays = tuple(float(delay) for delay in range(-_LATE, _LATE + 1))
     shifted = rough_fit(runs, delays=delays)
-    if shifted is None or shifted.unexplained > _SHIFTED * declared.unexplained or abs(shifted.delay) <= max(DELAYS):
+    if (
+        shifted is None
+        or shifted.unexplained > _LITTLE_BETTER * declared.unexplained
+        or abs(shifted.delay) <= max(DELAYS)
+    ):
         return None
-    late = shifted.delay * float(np.median([run.period for run in runs]))
+    late = shifted.delay * float(np.median([excerpt.run.sample_period for excerpt in runs]))
     return Message("time_shift", delay=shifted.delay, late=late, **_compared(declared, shifted))
 
 

@@ -16,8 +16,9 @@ _UNITS = {1.0: "revolutions", 360.0: "degrees", 400.0: "gon"} | {2.0**n: "counts
 _TURN_TOLERANCE = 0.003  # relative, of the step by which an angle wraps: one sample of advance is added by median
 _FEWEST_WRAPS = 3  # so that a median tells their step
 _COARSE_TURN = np.deg2rad(40.0)  # per sample: the voltage within a sample is hardly known any more
-_HELD_STEP = 0.02  # rad: smaller steps are those of an encoder at low speed
-_HELD_SHARE = 0.5  # of samples without a step, from which on the angle is held
+_HELD_SHARE, _HELD_STEP = 0.5, 0.02
+"""Of samples without a step, from which on the angle is held, and rad: smaller steps are those of an encoder at low
+speed."""
 _DRIFT = (0.03, 0.5)  # change over the recording, by the mean speed: a larger one is meant
 _DRIFT_FIT = 0.9  # share of the variance that a straight line must explain
 _DRIFT_PARTS = 6  # runs, of which that can be told
@@ -30,11 +31,8 @@ _FASTEST_CHANGE = 200.0
 """Hz, above which a derivative of the angle is noise."""
 _DELAYS = np.geomspace(1e-4, 2e-2, 54)  # s, of filters of the speed that are tried, 10 % apart
 _DAMPINGS = (0.5, 0.7, 1.0)  # likewise
-_FACTOR_TOLERANCE = 0.02  # distance of the factor from 1 where a filter explains the speed
+SPEED_TOLERANCE = 0.02  # of the ratio of angle and speed, which a poor time base may have
 _UNEXPLAINED_SPEED = 0.01  # share of the energy that noise may take then
-_RPM = np.pi / 30  # rad/s
-_DEGREE = np.pi / 180  # rad
-_REVOLUTION = 2 * np.pi  # rad
 
 
 def time_findings(periods: Sequence[float]) -> Iterator[Message]:
@@ -64,7 +62,7 @@ def unit_findings(runs: Sequence[Samples]) -> Iterator[Message]:
         return
     moved = sum(float(run.angle[-1] - run.angle[0]) for run in runs)
     expected = sum(float(run.speed[:-1].sum() * run.sample_period) for run in runs)
-    if wraps.sum() == 0 and expected and abs(moved / expected * _DEGREE - 1) < 0.02 and abs(expected) > 1:
+    if wraps.sum() == 0 and expected and abs(np.deg2rad(moved / expected) - 1) < SPEED_TOLERANCE and abs(expected) > 1:
         yield _in_unit("degrees", 360.0, f"advances {moved / expected:.4g} times as fast as its speed says")
 
 
@@ -112,7 +110,7 @@ def speed_lag(runs: Sequence[Samples]) -> float:
             energy = float(np.vdot(expected, expected).real)
             factor = float(np.vdot(expected, given).real) / energy if energy > 0 else 0.0
             left = float(np.sum(np.abs(given - factor * expected) ** 2))
-            if left < best and abs(factor - 1) < _FACTOR_TOLERANCE:
+            if left < best and abs(factor - 1) < SPEED_TOLERANCE:
                 best, found = left, float(delay)
     return found
 
@@ -166,14 +164,15 @@ def _in_unit(name: str, unit: float, why: str) -> Message:
 def _ratio_meaning(ratio: float) -> str:
     """Return a clause with the likely cause of a ratio of both speeds; empty if there is none."""
     against = " counted the other way" if ratio < 0 else ""
-    if abs(ratio + 1) < 0.02:
+    if abs(ratio + 1) < SPEED_TOLERANCE:
         return "one of them counted the other way"
-    meanings = [(1 / _DEGREE, "the angle were in degrees"), (_DEGREE, "the speed were in degrees per second")]
+    degree = np.pi / 180
+    meanings = [(1 / degree, "the angle were in degrees"), (degree, "the speed were in degrees per second")]
     meanings += [(10.0**power, "the unit of the time were wrong") for power in (-9, -6, -3, 3, 6, 9)]
     for count in range(2, _MOST_POLE_PAIRS):
         machine = f"mechanical and the machine had {count} pole pairs"
         meanings += [(float(count), f"the speed were {machine}"), (1 / count, f"the angle were {machine}")]
-    for unit, name in ((_RPM, "rpm"), (_REVOLUTION, "revolutions per second")):
+    for unit, name in ((np.pi / 30, "rpm"), (2 * np.pi, "revolutions per second")):
         meanings += [(unit, f"the speed were in {name}")]
         meanings += [
             (count * unit, f"the speed were in {name} and the machine had {count} pole pairs")

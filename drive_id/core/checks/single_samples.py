@@ -18,8 +18,7 @@ from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 _KEPT = 1 << 14  # largest bends: the quantile is exact up to 16 million samples
-_USUAL = 0.999  # quantile of the bends
-_FACTOR = 4.0  # its multiple above which a sample stands out
+_FACTOR = 4.0  # of the usual bend, above which a sample stands out
 _LEAST_CURRENT = 0.005  # least error that is reported, by the usual amplitude: less does not distort a map
 _LEAST_ANGLE = 0.01  # rad, likewise
 _ALIKE = 0.25  # largest deviation from the pattern of one wrong sample, by its bend: noise around it has room
@@ -29,7 +28,6 @@ _AROUND = 4
 _BEFORE = _AROUND * max(_STRIDES)
 """Samples that are kept for the next piece."""
 _FEWEST = 3000  # samples, for the quantile
-_MOST_SHARE = 1e-3  # of samples: more are ripple or noise of the drive, not single faults
 
 
 class SingleSamples:
@@ -103,12 +101,11 @@ def _scan(run: Sequence[FloatArray], currents: Largest, angles: Largest) -> None
 
 
 def _standing_out(bends: Largest, least: float) -> FloatArray:
-    """Return the rows of single samples, none where they are too many to be faults."""
+    """Return the rows of single samples: those that are many, as by ripple or noise, are the usual ones."""
     rows = bends.rows()
     if bends.count < _FEWEST:
         return rows[:0]
-    found = rows[(rows[:, 1] > 0) & (rows[:, 0] > max(least, _FACTOR * bends.quantile(_USUAL)))]
-    return found if len(found) < _MOST_SHARE * bends.count else rows[:0]
+    return rows[(rows[:, 1] > 0) & (rows[:, 0] > max(least, _FACTOR * bends.quantile()))]
 
 
 def _at_any_stride(kept: Sequence[Largest], least: float) -> FloatArray:
@@ -125,19 +122,11 @@ def _finding(signal: str, samples: int, time: float, size: float, phase: float |
 
 @compiled("const f8[:, ::1], const f8[:, ::1], const f8[::1], f8[:, ::1], f8[:, ::1]")
 def _bends(i_dq: FloatArray, i_abc: FloatArray, angle: FloatArray, currents: FloatArray, angles: FloatArray) -> None:
-    """Measure how far each sample of one run is off the middle of its neighbours.
+    """Measure how far each sample of one run is off the middle of its neighbours, but for the first and last two.
 
-    Parameters
-    ----------
-    i_dq, i_abc : (N, 2) float, (N, 3) float
-        A.
-    angle : (N,) float
-        rad.
-    currents : (N - 4, 4) float
-        Of all samples but the first and last two: the first column becomes the distance, A, the second 1 where the
-        neighbours show the pattern of a single sample, otherwise 0, and the fourth the phase that bends most.
-    angles : (N - 4, 3) float
-        The same of the angle, rad, without the phase.
+    The first column of ``currents`` (N - 4, 4) becomes the distance, A, the second 1 where the neighbours show the
+    pattern of a single sample, otherwise 0, and the fourth the phase that bends most; likewise ``angles`` (N - 4, 3),
+    rad, without the phase.
     """
     turn = 2.0 * np.pi
     for k in range(2, len(angle) - 2):

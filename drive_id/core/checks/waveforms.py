@@ -8,6 +8,7 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.checks.balance import Excerpt, rough_fit
+from drive_id.core.numerics.largest import USUAL_QUANTILE
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
@@ -16,8 +17,6 @@ _LEAST_DROP = 0.15
 """Resistive drop at the largest current below which the voltages are taken for duty cycles, V."""
 _CURRENTS = (0.5, 5000.0)  # plausible amplitudes, A: drives up to 500 A in kA lie outside
 _LARGEST_VOLTAGE = 5000.0  # V, above which the voltages are taken for mV
-_USUAL = 0.999
-"""Quantile that stands for the largest voltage, without spikes."""
 _SAME_SCALE = 1.3  # ratio of currents to references that a poor controller may have
 _LEAST_CORRELATION = 0.97  # of both, below which the controller does not follow and their ratio says nothing
 _ZERO_SEQUENCE = 0.02  # rms sum of the phase currents, by i_max: gains of sensors usually agree within 1 %
@@ -101,7 +100,7 @@ def _scale(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
 
 def _voltage_scale(u_abc: FloatArray) -> Iterator[Message]:
     """Yield voltages too large for volts; too small ones look like duty cycles."""
-    largest = float(np.quantile(np.abs(u_abc), _USUAL))
+    largest = float(np.quantile(np.abs(u_abc), USUAL_QUANTILE))
     if largest > _LARGEST_VOLTAGE:
         yield Message("voltage_scale", largest=largest)
 

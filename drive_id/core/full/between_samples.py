@@ -21,12 +21,13 @@ from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import RESISTANCE, FullModel
 from drive_id.core.full.windows import Windows, spacing
 from drive_id.core.numerics.compiled import compiled
-from drive_id.types import FloatArray, IntArray
+from drive_id.types import TINY, FloatArray, IntArray
 
 UNCERTAIN_SHARE = 0.1
 """Uncertain share of these integrals; compared with an integration of high order."""
-_LEAST_BOW = 1e-3
-"""Deviation of the current from a straight line, in i_max, below which it is as good as straight."""
+_NEGLIGIBLE = 1e-3
+"""Deviation of the current from a straight line, in i_max or in steps of the table, below which it is as good as
+straight, and relative change of the drop that ends the iterations."""
 _MOST_BOW = 1.0
 """The same above which the iteration diverges."""
 _MOST_TURN = np.deg2rad(45.0)
@@ -41,17 +42,11 @@ _TABLE = 4001
 """Currents at which the drop is tabulated."""
 _PARTS = 8
 """Parts of a sample in which the current is straight."""
-_ROUNDS = 8
-"""Most iterations for the current between samples."""
-_DAMPING = 0.6
-"""Share of each change that is made: a drop with a steep step overshoots with all of it."""
-_SETTLED = 1e-3
-"""Change of the drop, relative to its largest value, at which the iterations end."""
+_ROUNDS, _DAMPING = 8, 0.6
+"""Most iterations for the current between samples, and the share of each change that is made: a drop with a steep step
+overshoots with all of it."""
 _BEYOND = 2.0
 """Range of the tabulated drop, in i_max."""
-_FLAT = 1e-3
-"""Change of the current, in steps of the table, over which the mean of the drop is its value."""
-_TINY = float(np.finfo(np.float64).tiny)
 _AXES = np.exp(1j * frames.PHASE_SHIFTS).view(np.float64).reshape(-1, 2)
 
 
@@ -80,7 +75,7 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
     known = np.linalg.det(mean) > _SINGULAR * np.square(np.trace(mean, axis1=-2, axis2=-1))
     inductance = np.median(np.linalg.eigvalsh(0.5 * (mean + np.swapaxes(mean, 1, 2)))[:, 0])
     bow = np.square(fastest * step) / 8 * np.abs(psi).max()  # of the flux
-    least, most = (share * inductance * model.i_max for share in (_LEAST_BOW, _MOST_BOW))
+    least, most = (share * inductance * model.i_max for share in (_NEGLIGIBLE, _MOST_BOW))
     if not (known.any() and least <= bow <= most and fastest <= _MOST_TURN):
         return out.view(np.complex128)[:, 0]
     inverse = np.zeros_like(mean)
@@ -102,7 +97,7 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
 def _mean_inductances(model: FullModel, estimate: FloatArray, i_dq: FloatArray) -> FloatArray:
     """Return the inductances (N, 2, 2), H, of the map averaged over ``_SPAN`` around currents (N, 2), A."""
     span = _SPAN * model.i_max
-    radius = np.maximum(np.hypot(*i_dq.T), _TINY)
+    radius = np.maximum(np.hypot(*i_dq.T), TINY)
     inside = i_dq * np.minimum(1.0, (model.i_max - span) / radius)[:, None]
     sides = [
         [model.flux.rows(inside + sign * shift).dot(estimate[model.map]) for sign in (1, -1)]
@@ -115,7 +110,7 @@ def _mean_inductances(model: FullModel, estimate: FloatArray, i_dq: FloatArray) 
 def _mean_drop(drop: FloatArray, primitive: FloatArray, first: float, step: float, start: float, end: float) -> float:
     """Return the mean drop, V, over a current that is linear in time from ``start`` to ``end``, A, from its table."""
     last = len(drop) - 2
-    if abs(end - start) < _FLAT * step:
+    if abs(end - start) < _NEGLIGIBLE * step:
         place = (0.5 * (start + end) - first) / step
         k = min(max(int(place), 0), last)
         return float(drop[k] + (place - k) * (drop[k + 1] - drop[k]))
@@ -195,7 +190,7 @@ def _integrate(
     i, summed, swing = np.empty((_PARTS + 1, 2)), np.zeros((_PARTS + 1, 2)), np.zeros((_PARTS + 1, 2))
     ends, fluxes, chord, i_s = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
     mean, before = np.empty(2), np.empty(2)
-    settled = _SETTLED * (np.abs(drop).max() + abs(resistance) * np.abs(i_dq).max())
+    settled = _NEGLIGIBLE * (np.abs(drop).max() + abs(resistance) * np.abs(i_dq).max())
     for n in range(len(angle)):
         turn = turned[n] / samples[n]
         for k in range(samples[n]):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,11 +13,11 @@ from drive_id.core.frames import ComplexArray
 from drive_id.core.full.delay import Delay
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.model import CONSTANT, RESISTANCE
-from drive_id.core.full.windows import MOST_DELAY
+from drive_id.core.full.windows import MOST_DELAY, SEARCHED
 from drive_id.core.maps.flux_models import BasisRows, jacobian
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.messages import Message
-from drive_id.types import BoolArray, FloatArray, Samples
+from drive_id.types import TINY, BoolArray, FloatArray, Samples
 
 _SIGNIFICANCE = 3.0
 """Standard errors from which on a deviation of a sensor is told."""
@@ -25,10 +25,8 @@ _LARGEST_ANGLE = np.deg2rad(20.0)
 """Offset of the angle beyond which the map has left the disc of the currents too far to be mirrored."""
 _TRIED = 5
 """Angles tried on each side before the refinement: every 4 degrees."""
-_STEPS = 30
-"""Most steps of the refinement: bounds the time."""
-_SETTLED = 1e-9
-"""Step at which the refinement has converged, rad."""
+_STEPS, _SETTLED = 30, 1e-9
+"""Most steps of the refinement, and the step at which it has converged, rad."""
 _LARGEST_ASYMMETRY = 0.01
 """Largest asymmetry of a mirror-symmetric machine at the best angle, relative to the largest flux."""
 _LEAST_MIRRORED = 0.3
@@ -36,8 +34,6 @@ _LEAST_MIRRORED = 0.3
 CURRENT_ROTATION, VOLTAGE_MISMATCH = "current_rotation", "voltage_gain_mismatch"
 _FEWEST_MIRRORED = 16
 """Fewest pairs of mirrored currents that tell an angle."""
-_MOST_MIRRORED = 1500
-"""Most pairs, evenly chosen: bounds the time."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +103,7 @@ def _flux_allows(fit: FullFit, offset: FloatArray, sigma: FloatArray) -> bool:
     """Tell whether an offset of the currents (2,), A, agrees with the one that the flux shows, within their errors."""
     solver = fit.selection.solver
     share, shown = solver.saving(fit.solution, fit.model.effect("current_offset"))
-    of_flux = np.hypot(*shown) / np.sqrt(max(share * fit.solution.rows, np.finfo(np.float64).tiny))
+    of_flux = np.hypot(*shown) / np.sqrt(max(share * fit.solution.rows, TINY))
     return bool(np.hypot(*(offset - shown)) < _SIGNIFICANCE * np.hypot(of_flux, np.hypot(*sigma)))
 
 
@@ -125,7 +121,7 @@ def _entries(
 def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
     """Report the delay of the voltages used by the fit."""
     found = fit.selection.search.found
-    name, used, delay, sigma = "voltage_delay", fit.spec.delay, found.delay, found.sigma_delay
+    name, used, delay, sigma = "voltage_delay", fit.spec.delay, found.delay.value, found.delay.sigma
     if not wanted:
         return Calibration(name, used, 0.0, "samples", used != 0.0, Message("voltage_delay.set", value=used))
 
@@ -164,7 +160,7 @@ def mirrored_points(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: 
     points = np.asarray(np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1)[both], np.float64)
     if np.abs(points[:, 1]).max(initial=0.0) < _LEAST_MIRRORED * i_max:
         return points[:0]
-    return points[:: max(1, len(points) // _MOST_MIRRORED)]
+    return points[:: max(1, len(points) // SEARCHED)]
 
 
 @one_blas_thread()
@@ -243,11 +239,14 @@ def _applied(calibrations: Sequence[Calibration]) -> dict[str, float]:
     return {entry.name: entry.value for entry in calibrations if entry.applied}
 
 
+def _of_axes(values: Mapping[str, float], name: str) -> complex:
+    return complex(values.get(f"{name}_alpha", 0.0), values.get(f"{name}_beta", 0.0))
+
+
 def _sensor_faults(calibrations: Sequence[Calibration]) -> tuple[float, float]:
     """Return the sizes of the mismatch of the current gains and of the rotation of the currents that are applied."""
     values = _applied(calibrations)
-    alpha, beta = (values.get(f"current_gain_mismatch_{axis}", 0.0) for axis in ("alpha", "beta"))
-    return float(np.hypot(alpha, beta)), abs(values.get(CURRENT_ROTATION, 0.0))
+    return abs(_of_axes(values, "current_gain_mismatch")), abs(values.get(CURRENT_ROTATION, 0.0))
 
 
 @one_blas_thread()
@@ -285,10 +284,9 @@ def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:
     """Return samples corrected for the applied faults; no sample is lost."""
     found = _applied(calibrations)
     i_s, u_s = frames.space_vector(samples.i_abc), frames.space_vector(samples.u_abc)
-    u_s = u_s - complex(found.get("voltage_offset_alpha", 0.0), found.get("voltage_offset_beta", 0.0))
-    i_s = i_s - complex(found.get("current_offset_alpha", 0.0), found.get("current_offset_beta", 0.0))
-    mismatch = complex(found.get("current_gain_mismatch_alpha", 0.0), found.get("current_gain_mismatch_beta", 0.0))
-    i_s = i_s * (1 - 1j * found.get(CURRENT_ROTATION, 0.0)) - mismatch * i_s.conj()
+    u_s, i_s = u_s - _of_axes(found, "voltage_offset"), i_s - _of_axes(found, "current_offset")
+    turn = 1 - 1j * found.get(CURRENT_ROTATION, 0.0)
+    i_s = i_s * turn - _of_axes(found, "current_gain_mismatch") * i_s.conj()
     delay = found.get("voltage_delay", 0.0)
     if delay:
         u_s = np.concatenate([_delayed(u_s[run], delay) for run in samples.runs()])

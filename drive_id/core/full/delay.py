@@ -9,9 +9,12 @@ import numpy as np
 
 from drive_id.core.full.model import PENALTIES
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products
+from drive_id.core.full.window_sums import SEGMENT
 from drive_id.core.full.windows import MOST_DELAY, Windows
-from drive_id.types import FloatArray
+from drive_id.types import TINY, FloatArray
 
+SPEEDS_APART = 0.1
+"""Relative difference from which on speeds are several."""
 _SIGNIFICANCE = 2.0
 """Standard errors by which a delay must differ from zero, about 95 %."""
 _LEAST_ANGLE = 2e-3
@@ -20,25 +23,17 @@ _BIAS = 0.01
 """Samples; largest bias of an estimated delay seen in simulations."""
 _NOISE_SHARE = 0.02
 """Contribution of noise to the product of voltage shifts and residuals seen in simulations, over the sum of squares."""
-_USUAL = 2.0  # samples: a delay of more is believed only where it explains much
-_MOST_LEFT = 0.7  # share of the squared residuals that such a delay may leave
+_USUAL, _MOST_LEFT = 2.0, 0.7
+"""Samples: a delay of more is believed only where it leaves at most this share of the squared residuals."""
 _SMOOTHING_BOUND = 2.0
 """Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05
 """Largest distance of a physical delay from a half or a whole sample, samples."""
-_BY_CHANCE = 0.25
-"""Largest distance from a half or a whole sample that there is, samples: with such an uncertainty, any delay would seem
-physical."""
 _DECIMATED = -0.23
 """Samples; decimation by n looks like a delay of -(n-1)/2n, that is, of -1/4 or beyond."""
-_SEGMENT = 0.25
-"""Time over which a delay is averaged to find where it jumps, s."""
-_LEAST_JUMP = 0.2
-"""Jump of a delay in what the fit left of it, samples: of one sample, the fit takes half and more."""
-_LEAST_SHARE = 0.1
-"""Share of the squared residuals that a jump must explain: without one, it was below 0.002."""
-_SAME_SPEED = 0.1
-"""Relative difference of speeds above which something else may have changed as well."""
+_LEAST_JUMP, _LEAST_SHARE = 0.2, 0.1
+"""Jump of a delay in what the fit left of it, samples: of one sample, the fit takes half and more; and the share of the
+squared residuals that a jump must explain: without one, it was below 0.002."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +43,11 @@ class Delay:
     Parameters
     ----------
     value, sigma : float
-        Samples.
+        Samples; NaN when not estimated.
     """
 
-    value: float
-    sigma: float
+    value: float = np.nan
+    sigma: float = np.nan
 
     def significant(self, turn: float) -> bool:
         """Tell whether it differs significantly from zero and rotates the voltages by a relevant angle.
@@ -90,7 +85,7 @@ class Delay:
             return False
         halves = 2 * self.value
         allowed = max(_PHYSICAL, _SIGNIFICANCE * self.sigma)
-        told = allowed < _BY_CHANCE or abs(self.value) <= _USUAL
+        told = allowed < 0.25 or abs(self.value) <= _USUAL  # no value is farther from a half or a whole sample
         return told and round(halves) != 0 and abs(halves - round(halves)) < 2 * allowed
 
 
@@ -125,23 +120,23 @@ def delay_jump(windows: Windows, residuals: FloatArray) -> DelayJump | None:
     for number in np.unique(windows.recording):
         own = np.flatnonzero(windows.recording == number)
         first = windows.time[own].min()
-        segment = ((windows.time[own] - first) / _SEGMENT).astype(np.int64)
+        segment = ((windows.time[own] - first) / SEGMENT).astype(np.int64)
         facts = (np.real(column[own].conj() * error[own]), np.abs(column[own]) ** 2, speed[own], np.ones(len(own)))
         before = np.cumsum([np.bincount(segment, weights=fact) for fact in facts], axis=1)
         after = before[:, -1:] - before
         (moment, weight, *_), before, after = before[:, -1], before[:, :-1], after[:, :-1]
         if not before.size:
             continue
-        low, high = (np.maximum(part[1:], np.finfo(np.float64).tiny) for part in (before, after))
+        low, high = (np.maximum(part[1:], TINY) for part in (before, after))
         delays = before[0] / low[0], after[0] / high[0]
-        saved = before[0] * delays[0] + after[0] * delays[1] - moment**2 / max(weight, np.finfo(np.float64).tiny)
+        saved = before[0] * delays[0] + after[0] * delays[1] - moment**2 / max(weight, TINY)
         speeds = before[2] / low[2], after[2] / high[2]
-        alike = np.abs(speeds[1] - speeds[0]) < _SAME_SPEED * np.abs(speeds[0])
-        share = np.where(alike, saved, 0.0) / max(float(np.sum(np.abs(error[own]) ** 2)), np.finfo(np.float64).tiny)
+        alike = np.abs(speeds[1] - speeds[0]) < SPEEDS_APART * np.abs(speeds[0])
+        share = np.where(alike, saved, 0.0) / max(float(np.sum(np.abs(error[own]) ** 2)), TINY)
         best = int(np.argmax(share))
         jump = float(delays[1][best] - delays[0][best])
         if share[best] > _LEAST_SHARE and abs(jump) > _LEAST_JUMP:
-            found.append((share[best], DelayJump(int(number), _SEGMENT * (best + 1), jump < 0)))
+            found.append((share[best], DelayJump(int(number), SEGMENT * (best + 1), jump < 0)))
     return max(found, key=lambda each: each[0])[1] if found else None
 
 

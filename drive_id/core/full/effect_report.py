@@ -2,26 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.full.calibration import CURRENT_ROTATION, VOLTAGE_MISMATCH, Calibration
-from drive_id.core.full.effect_search import Taken
+from drive_id.core.full.effect_search import Taken, several_speeds
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.fit import sigma as fitted_sigma
-from drive_id.core.full.lack_of_fit import LEAST_TOLD
-from drive_id.core.full.model import RESISTANCE
+from drive_id.core.full.model import EFFECTS, RESISTANCE
+from drive_id.core.full.solver import LEAST_TOLD
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.messages import Message
 from drive_id.temperature import COPPER
 from drive_id.types import FloatArray
 
-_MICRO = 1e6  # us per s
-_PER_KILOWATT = 1e5
-"""%/kW in 1/W."""
 _NEGLIGIBLE = 5e-4
 """Rms of the residuals beyond noise, relative to the integrated voltages, below which there is no warning: it cost no
 random drive 0.1 % of the flux."""
@@ -29,7 +28,7 @@ _CONCENTRATED = 1.5
 """Residuals at small currents, relative to all, from which on they are told to lie there."""
 _SUSPICIOUS = 0.15
 """Share of the squared residuals that an explanation must reach to be named."""
-_OUTLYING = 20.0
+OUTLYING = 20.0
 """Residuals of one batch, squared, relative to the median, from which on an event in time is told."""
 _ALIKE = 0.5
 """Share of the best explanation above which another one is named, too."""
@@ -45,7 +44,7 @@ def misfit_warning(fit: FullFit) -> Message | None:
         return None
     d, q = misfit.i_dq
     values = {"ratio": misfit.ratio, "worst": misfit.worst, "i_d": d, "i_q": q}
-    if fit.assessment.outlying > _OUTLYING:
+    if fit.assessment.outlying > OUTLYING:
         return Message("misfit.time", time=fit.assessment.outlying_time, **values)
     if misfit.low > _CONCENTRATED * misfit.ratio:
         return Message("misfit.small_currents", low=misfit.low, **values)
@@ -67,90 +66,78 @@ def _with_cause(code: str, fit: FullFit, **values: float) -> Message:
     return Message(f"{code}.cause", causes=",".join(close[:_MOST_NAMED]), explained=largest, **values)
 
 
-def effect_entries(fit: FullFit, *, several_speeds: bool) -> list[Calibration]:
+def effect_entries(fit: FullFit) -> list[Calibration]:
     """Return the values of all effects in the model, in the order in which they were found."""
     entries: list[Calibration] = []
+    several = several_speeds(fit.assessment.speeds)
     for taken in fit.selection.search.found.taken:
         if taken.name in fit.spec.effects:
-            entries += _entries(fit, taken, several_speeds=several_speeds)
+            entries += _REPORTS[taken.name](_ReportedEffect(fit, taken, several))
     return entries
 
 
-def _entries(fit: FullFit, taken: Taken, *, several_speeds: bool) -> list[Calibration]:
-    columns = fit.model.effect(taken.name)
-    value, sigma = fit.solution.estimate[columns], fitted_sigma(fit.assessment.changes[columns])
-    name = taken.name.split("_lag_")[0] + ("_lag" if "_lag_" in taken.name else "")
-    rivals = ",".join(taken.rivals) or None
-    return [
-        Calibration(
-            entry.name,
-            entry.value,
-            entry.sigma,
-            entry.unit,
-            True,
-            Message(entry.key, **entry.values, rivals=rivals, several_speeds=several_speeds),
-            doubtful=rivals is not None or entry.name == VOLTAGE_MISMATCH,
-        )
-        for entry in _REPORTS[name](_Evaluated(fit, taken.name, value, sigma))
-    ]
-
-
-class _Shown(NamedTuple):
-    """A value with its standard error in a unit, and what its message needs, in SI units."""
-
-    name: str
-    value: float
-    sigma: float
-    unit: str
-    key: str
-    values: Mapping[str, Any]
-
-    @classmethod
-    def of(cls, name: str, value: float, sigma: float, unit: str, key: str = "", **more: Any) -> _Shown:
-        """Return an entry of SI units."""
-        return cls(name, float(value), float(sigma), unit, key or name, {"value": value, "sigma": sigma, **more})
-
-
-class _Evaluated(NamedTuple):
-    """An effect, the estimates of its columns and their standard errors."""
+@dataclass(frozen=True, eq=False)
+class _ReportedEffect:
+    """An effect of the model."""
 
     fit: FullFit
-    name: str
-    value: FloatArray
-    sigma: FloatArray
+    taken: Taken
+    several_speeds: bool
+
+    @property
+    def name(self) -> str:
+        return self.taken.name
+
+    @cached_property
+    def value(self) -> FloatArray:
+        """Estimates of its columns."""
+        return self.fit.solution.estimate[self.fit.model.effect(self.name)]
+
+    @cached_property
+    def sigma(self) -> FloatArray:
+        """Their standard errors."""
+        return fitted_sigma(self.fit.assessment.changes[self.fit.model.effect(self.name)])
+
+    def entry(
+        self, name: str, value: float, sigma: float, unit: str, key: str = "", *, scale: float = 1.0, **more: Any
+    ) -> Calibration:
+        """Return a value and its standard error, shown in a unit of which an SI unit is ``scale``; ``more`` is told."""
+        rivals = ",".join(self.taken.rivals) or None
+        told = {"value": value, "sigma": sigma, **more, "rivals": rivals, "several_speeds": self.several_speeds}
+        shown, doubtful = float(scale * value), rivals is not None or name == VOLTAGE_MISMATCH
+        return Calibration(name, shown, float(scale * sigma), unit, True, Message(key or name, **told), doubtful)
 
 
-def _one(found: _Evaluated) -> Iterator[_Shown]:
-    name, unit = _OF_ONE_VALUE[found.name]
-    yield _Shown.of(name, found.value[0], found.sigma[0], unit)
+def _one(found: _ReportedEffect) -> Iterator[Calibration]:
+    name, unit, scale = _OF_ONE_VALUE[found.name]
+    yield found.entry(name, scale * found.value[0], scale * found.sigma[0], unit)
 
 
-def _late(found: _Evaluated) -> Iterator[_Shown]:
+def _late(found: _ReportedEffect) -> Iterator[Calibration]:
     x, dx = float(found.value[0]), float(found.sigma[0])
-    told = {"value": x, "sigma": dx, "size": abs(x), "late": x > 0}
-    yield _Shown(found.name, _MICRO * x, _MICRO * dx, "us", found.name, told)
+    yield found.entry(found.name, x, dx, "us", scale=1e6, size=abs(x), late=x > 0)
 
 
-def _lag(found: _Evaluated) -> Iterator[_Shown]:
+def _lag(found: _ReportedEffect) -> Iterator[Calibration]:
     if found.name == "flux_lag":
         yield from _late(found)
     else:
         lag = 1e-3 * float(found.name.removeprefix("flux_lag_").removesuffix("ms"))
-        yield _Shown.of(found.name, found.value[0], found.sigma[0], "1", "flux_lag.share", lag=lag)
+        yield found.entry(found.name, found.value[0], found.sigma[0], "1", "flux_lag.share", lag=lag)
 
 
-def _copper(found: _Evaluated) -> Iterator[_Shown]:
+def _copper(found: _ReportedEffect) -> Iterator[Calibration]:
     reference = float(found.fit.solution.estimate[RESISTANCE])
     for k, (x, dx) in enumerate(zip(found.value, found.sigma, strict=True)):
         change = x / reference
         told = {"change": change, "kelvin": change / COPPER}
         if found.name == "copper_heating":
-            yield _Shown.of("resistance_rise", x, dx, "ohm", **told)
+            yield found.entry("resistance_rise", x, dx, "ohm", **told)
         elif found.fit.met(found.name, k):
-            yield _Shown.of(f"resistance_change_{k + 2}", x, dx, "ohm", "resistance_change", recording=k + 2, **told)
+            yield found.entry(f"resistance_change_{k + 2}", x, dx, "ohm", "resistance_change", recording=k + 2, **told)
 
 
-def _magnet(found: _Evaluated) -> Iterator[_Shown]:
+def _magnet(found: _ReportedEffect) -> Iterator[Calibration]:
     """Report the change of psi_d at zero current, by flux and by the equivalent current of the magnet."""
     forms = np.zeros((found.fit.model.size, len(found.value) // 2))
     slope = jacobian(found.fit.model.flux, found.fit.solution.estimate[found.fit.model.map], np.zeros((1, 2)))[0, 0, 0]
@@ -162,19 +149,19 @@ def _magnet(found: _Evaluated) -> Iterator[_Shown]:
         if not found.fit.met(found.name, 2 * k):
             continue
         if found.name == "magnet_heating":
-            yield _Shown.of("magnet_flux_change", x, dx, "Wb")
+            yield found.entry("magnet_flux_change", x, dx, "Wb")
         else:
             name, key = f"magnet_flux_change_{k + 2}", "magnet_flux_change.recording"
-            yield _Shown.of(name, x, dx, "Wb", key, recording=k + 2)
+            yield found.entry(name, x, dx, "Wb", key, recording=k + 2)
 
 
-def _of_turn(found: _Evaluated) -> Iterator[_Shown]:
+def _of_turn(found: _ReportedEffect) -> Iterator[Calibration]:
     name, unit = _OF_TURN.get(found.name, (found.name, "rad"))
     pairs = found.fit.selection.search.found.columns.pole_pairs
-    yield _Shown.of(name, *_amplitude(found), unit, pole_pairs=pairs)
+    yield found.entry(name, *_amplitude(found), unit, pole_pairs=pairs)
 
 
-def _amplitude(found: _Evaluated) -> tuple[float, float]:
+def _amplitude(found: _ReportedEffect) -> tuple[float, float]:
     """Return the amplitude of cosine and sine, rms over the runs that have them, and its standard error."""
     pairs, errors = found.value.reshape(-1, 2), found.sigma.reshape(-1, 2)
     met = [k for k in range(len(pairs)) if found.fit.met(found.name, 2 * k)]
@@ -182,59 +169,55 @@ def _amplitude(found: _Evaluated) -> tuple[float, float]:
     return float(amplitude), float(np.sqrt(np.mean(errors[met] ** 2) / len(met)))
 
 
-def _ripple(found: _Evaluated) -> Iterator[_Shown]:
+def _ripple(found: _ReportedEffect) -> Iterator[Calibration]:
     frequency = found.fit.selection.search.found.columns.ripple
-    yield _Shown.of("link_ripple", *_amplitude(found), "1", frequency=frequency)
+    yield found.entry("link_ripple", *_amplitude(found), "1", frequency=frequency)
 
 
-def _sag(found: _Evaluated) -> Iterator[_Shown]:
-    x, dx = _PER_KILOWATT * float(found.value[0]), _PER_KILOWATT * float(found.sigma[0])
-    yield _Shown("link_sag", x, dx, "%/kW", "link_sag", {"value": x, "sigma": dx})
-
-
-def _phases(found: _Evaluated) -> Iterator[_Shown]:
+def _phases(found: _ReportedEffect) -> Iterator[Calibration]:
     values, sigmas = (*found.value, -found.value.sum()), (*found.sigma, np.hypot(*found.sigma))
     for phase, (x, dx) in enumerate(zip(values, sigmas, strict=True)):
-        yield _Shown.of(f"resistance_{'abc'[phase]}", x, dx, "ohm", "resistance_of_phase", phase=phase)
+        yield found.entry(f"resistance_{'abc'[phase]}", x, dx, "ohm", "resistance_of_phase", phase=phase)
 
 
-def _of_sensors(found: _Evaluated) -> Iterator[_Shown]:
+def _of_sensors(found: _ReportedEffect) -> Iterator[Calibration]:
     name, unit = _BY_AXIS[found.name]
     size = found.fit.model.i_max if unit == "A" else 1.0
     for axis, x, dx in zip(("alpha", "beta"), found.value, found.sigma, strict=True):
-        yield _Shown.of(f"{name}_{axis}", x, dx, unit, f"{name}.fit", axis=axis, share=abs(x) / size)
+        yield found.entry(f"{name}_{axis}", x, dx, unit, f"{name}.fit", axis=axis, share=abs(x) / size)
 
 
-def _gains(found: _Evaluated) -> Iterator[_Shown]:
+def _gains(found: _ReportedEffect) -> Iterator[Calibration]:
     """Report the mismatch g: the voltage is u + g conj(u). A phase k with the gain 1 + e has g = -e/3 e^{2j phi_k}."""
     g = complex(*found.value)
     along = np.real(g * np.exp(-2j * frames.PHASE_SHIFTS))
     phase = int(np.argmax(np.abs(along)))
     sigma = float(np.linalg.norm(found.sigma))
-    yield _Shown.of(VOLTAGE_MISMATCH, abs(g), sigma, "1", phase=phase, off=-3 * along[phase])
+    yield found.entry(VOLTAGE_MISMATCH, abs(g), sigma, "1", phase=phase, off=-3 * along[phase])
 
 
 _OF_ONE_VALUE = {
-    "iron_loss": ("iron_loss_conductance", "S"),
-    "hysteresis": ("iron_loss_hysteresis", "S rad/s"),
-    "coercivity": ("iron_loss_current", "A"),
-    "dc_link": ("dc_link_share", "1"),
-    "current_rotation": (CURRENT_ROTATION, "rad"),
+    "iron_loss": ("iron_loss_conductance", "S", 1.0),
+    "hysteresis": ("iron_loss_hysteresis", "S rad/s", 1.0),
+    "coercivity": ("iron_loss_current", "A", 1.0),
+    "dc_link": ("dc_link_share", "1", 1.0),
+    "link_sag": ("link_sag", "%/kW", 1e5),
+    "current_rotation": (CURRENT_ROTATION, "rad", 1.0),
 }
+"""Names and units under which effects are reported, and how many of these units an SI unit is."""
 _OF_TURN = {"eccentricity": ("resolver_eccentricity", "rad"), "eccentric_rotor": ("rotor_eccentricity", "1")}
 _BY_AXIS = {"current_gains": ("current_gain_mismatch", "1"), "current_offset": ("current_offset", "A")}
-"""Names and units under which effects are reported."""
+"""Names and units, likewise."""
 
-_REPORTS: dict[str, Callable[[_Evaluated], Iterator[_Shown]]] = {
+_REPORTS: dict[str, Callable[[_ReportedEffect], Iterator[Calibration]]] = {
     **dict.fromkeys(_OF_ONE_VALUE, _one),
     **dict.fromkeys(("current_latency", "angle_latency"), _late),
     **dict.fromkeys(("copper_heating", "copper_recordings"), _copper),
     **dict.fromkeys(("magnet_heating", "magnet_recordings"), _magnet),
     **dict.fromkeys((*_OF_TURN, "resolver_first", "resolver_second"), _of_turn),
     **dict.fromkeys(_BY_AXIS, _of_sensors),
-    "flux_lag": _lag,
+    **dict.fromkeys((name for name in EFFECTS if name.startswith("flux_lag")), _lag),
     "link_ripple": _ripple,
-    "link_sag": _sag,
     "phase_resistance": _phases,
     "voltage_gains": _gains,
 }

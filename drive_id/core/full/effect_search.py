@@ -3,39 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
-from drive_id.core.full.delay import Delay, estimate_delay
+from drive_id.core.full.delay import SPEEDS_APART, Delay, estimate_delay
 from drive_id.core.full.effects import EffectColumns
 from drive_id.core.full.link_ripple import ripple_frequency
 from drive_id.core.full.model import EFFECTS, PENALTIES, VOLTAGE, FullModel, ModelSpec
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
+from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver, better_on_most_folds, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
-from drive_id.types import FloatArray
+from drive_id.types import TINY, FloatArray
 
 DELAY = "voltage_delay"
 
 _LEAST_SAVING = 3e-3
 """Share of the squared residuals that an effect must explain; below 1e-3 for drives that obey the model."""
-_LEAST_BESIDE = 1e-3
+LEAST_BESIDE = 1e-3
 """The same beside the effect that it comes with."""
 _PER_UNKNOWN = 5.0
 """Further share for each unknown, in units of the share of one row."""
 _LEAST_VOLTAGE = 5e-5
 """Rms that an effect must explain, relative to that of the integrated voltages."""
 _CLOSE = 0.05
-"""Relative difference of savings below which two effects explain the residuals equally well."""
+"""Relative difference of savings below which two effects explain the residuals equally well, and the share of the
+squared residuals by which a wrong effect may seem to explain more than a true delay."""
 _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
-_RESEMBLANCE = 0.05
-"""Share of the squared residuals by which a wrong effect may seem to explain more than a true delay."""
-_LEAST_BEYOND = 1 - 1.3**-2
-"""Share of the squared residuals beyond noise from which on a ripple of the DC link is looked for: 1.3 times the noise.
-That takes as long as all other effects."""
+_LEAST_BEYOND = 1 - LEAST_TOLD**-2
+"""Share of the squared residuals beyond noise from which on a ripple of the DC link is looked for: that takes as long
+as all other effects."""
 _OF_LINK, _OF_MISFIT = ("link_ripple", "link_sag"), 0.5
 """Variations of the DC link, and the share of the squared residuals beyond noise that one must explain: the misfit of a
 map recurs with the trajectory and the power, and a part of it looks like theirs."""
@@ -43,10 +42,8 @@ _MOST_EFFECTS = 6
 """Most effects of a drive: bounds the time."""
 _GROWN = 1.03
 """Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
-_SETTLING = 5
-"""Most linearizations: bounds the time."""
-_SETTLED = 0.01
-"""Relative decrease of the residuals below which they end."""
+_SETTLING, _SETTLED = 5, 0.01
+"""Most linearizations, and the relative decrease of the residuals below which they end."""
 _MOST_POLE_PAIRS = 16
 """Tried where the number is not known: as many as common machines have."""
 _MOST_WINDOWS = 3000
@@ -64,9 +61,6 @@ _LARGEST_LAG = 0.2
 """Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
 _TIMING = {DELAY, "current_latency", "angle_latency", "current_rotation"}
 """All of them rotate the flux against the currents, but for the last by the speed: at one speed, the data hold one."""
-_TINY = float(np.finfo(np.float64).tiny)
-_SPEEDS_APART = 0.1
-"""Least difference between the slowest and the fastest 5 % of the data, relative to the speed, of several speeds."""
 _BESIDE = {"current_rotation": "current_gains"}
 """Effects that are tried beside another one only: sensors that turn the currents have unequal gains as well."""
 _POSITIVE = ("iron_loss", "flux", "link_sag")
@@ -81,19 +75,12 @@ class Taken:
     ----------
     name : str
         In ``EFFECTS``, or ``DELAY``.
-    saving : float
-        Share by which it reduced the squared residuals.
     rivals : tuple of str
         Effects that would have explained nearly as much.
     """
 
     name: str
-    saving: float
     rivals: tuple[str, ...]
-
-
-_Settled = tuple[WindowSums, Solver, FullSolution, EffectColumns]
-"""Sums with the effects, their solver, its solution, and the columns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,14 +93,13 @@ class FoundEffects:
         Linearized about the estimate.
     taken : tuple of Taken
         In the order in which they were found.
-    delay, sigma_delay : float
-        Estimated delay of the voltages and its standard error, samples; NaN when not requested.
+    delay : Delay
+        Of the voltages, if it was requested.
     """
 
     columns: EffectColumns
-    taken: tuple[Taken, ...]
-    delay: float
-    sigma_delay: float
+    taken: tuple[Taken, ...] = ()
+    delay: Delay = field(default_factory=Delay)
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,36 +149,34 @@ def search_effects(
     columns = _columns(sums, solution, noise, pole_pairs)
     start = _settled(sums, solution.spec, columns)
     search = _greedy(sums, start, noise, allowed, turn)
-    delay = Delay(search.solution.spec.delay, search.found.sigma_delay)
+    delay = replace(search.found.delay, value=search.solution.spec.delay)
     if turn > 0 and delay.value != solution.spec.delay and not (delay.physical or delay.decimation):
         for value in delay.between:
             delayed = _settled(sums, replace(solution.spec, delay=value), columns)
-            of_delay = Taken(DELAY, _saving(start[2], delayed[2]), ())
-            other = _greedy(sums, delayed, noise, allowed, 0.0, (of_delay,))
+            other = _greedy(sums, delayed, noise, allowed, 0.0, (Taken(DELAY, ()),))
             if other.solution.sum_of_squares < search.solution.sum_of_squares:
-                search = replace(other, found=replace(other.found, delay=value, sigma_delay=delay.sigma))
+                search = replace(other, found=replace(other.found, delay=Delay(value, delay.sigma)))
     return search
 
 
 def _greedy(
     sums: WindowSums,
-    start: _Settled,
+    state: EffectSearch,
     noise: CurrentNoise,
     allowed: Sequence[str],
     turn: float,
     taken: tuple[Taken, ...] = (),
 ) -> EffectSearch:
     """Add effects to those taken one by one, best first, and a delay unless ``turn`` is 0."""
-    extended, solver, solution, columns = start
-    delay = estimate_delay(solver, solution, noise) if turn > 0 else Delay(np.nan, np.nan)
-    period = noise.period
+    solver, solution = state.solver, state.solution
+    delay = estimate_delay(solver, solution, noise) if turn > 0 else state.found.delay
     one_speed = not several_speeds(noise.windows.speed.mean(axis=1))
     while len(taken) < _MOST_EFFECTS:
         timed = one_speed and bool(_TIMING & {each.name for each in taken})
         allowed = [name for name in allowed if not (timed and name in _TIMING)]
         taken_effects = solution.spec.effects
         tried = [name for name in allowed if name not in taken_effects and _BESIDE.get(name) in (None, *taken_effects)]
-        savings = effect_savings(solver, solution, tried, period)
+        savings = effect_savings(solver, solution, tried, noise.period)
         beyond = _beyond(solver.model, solution, noise)
         savings |= {name: 0.0 for name in _OF_LINK if savings.get(name, 0.0) < _OF_MISFIT * beyond}
         if turn > 0 and solution.spec.delay == 0 and not timed:
@@ -204,9 +188,9 @@ def _greedy(
         best, settled = _best(savings, physical=delay.physical), {}
         if best in _TURNING and sums.model.resolution.halved and not (one_speed and turning(taken)):
             rivals = _rivals(savings, best, one_speed=one_speed)
-            settled = _rivals_settled(sums, solver, solution, columns, rivals)
+            settled = _rivals_settled(sums, replace(state, solution=solution), rivals)
             best = _best_predictor(settled, (solver, delayed) if best == DELAY else None) or best
-            savings |= {name: _saving(solution, each) for name, (*_, each, _) in settled.items()}
+            savings |= {name: _saving(solution, each.solution) for name, each in settled.items()}
         if best is None or not (best == DELAY or _worthwhile(solver, solution, best, savings[best])):
             break
         if best not in (DELAY, *settled) and not _by_data(solver, solution, best):
@@ -215,22 +199,21 @@ def _greedy(
         family = _family(best)
         near = savings[best] - max(_CLOSE * savings[best], _LEAST_SAVING)
         rivals = tuple(name for name, saving in savings.items() if saving > near and _family(name) != family)
-        found = Taken(best, savings[best], rivals)
         if best == DELAY:
-            taken, solution = (*taken, found), delayed
-            continue
-        spec = _with_effect(solution.spec, best)
-        if not _predicts(solver, solution.spec, spec):
-            break
-        taken = (*taken, found)
-        columns = replace(columns, estimate=solver.solve(spec).estimate)
-        state = settled.get(best) or _settled(sums, spec, columns)
-        extended, solver, solution, columns = _with_hidden_ripple(sums, state, noise)
+            solution = delayed
+        else:
+            spec = _with_effect(solution.spec, best)
+            if not _predicts(solver, solution.spec, spec):
+                break
+            columns = replace(state.found.columns, estimate=solver.solve(spec).estimate)
+            state = _with_hidden_ripple(sums, settled.get(best) or _settled(sums, spec, columns), noise)
+            solver, solution = state.solver, state.solution
+        taken = (*taken, Taken(best, rivals))
     names = {each.name for each in taken}
-    if names <= {DELAY} and not _remains(solver):
-        extended = sums
+    extended = sums if names <= {DELAY} and not _remains(solver) else state.sums
     taken = tuple(replace(each, rivals=tuple(name for name in each.rivals if name not in names)) for each in taken)
-    return EffectSearch(extended, solver, solution, FoundEffects(columns, taken, delay.value, delay.sigma))
+    found = FoundEffects(state.found.columns, taken, delay)
+    return EffectSearch(extended, solver, solution, found)
 
 
 def _with_effect(spec: ModelSpec, name: str) -> ModelSpec:
@@ -253,28 +236,28 @@ def _rivals(savings: dict[str, float], best: str, *, one_speed: bool) -> tuple[s
     return tuple(name for name in names if not (one_speed and _AT_ONE_SPEED.get(name) in savings))
 
 
-def _rivals_settled(
-    sums: WindowSums, solver: Solver, solution: FullSolution, columns: EffectColumns, names: Sequence[str]
-) -> dict[str, _Settled]:
+def _rivals_settled(sums: WindowSums, state: EffectSearch, names: Sequence[str]) -> dict[str, EffectSearch]:
     """Settle each of several effects beside those of a solution if one moves the current by more than the map bends."""
-    specs = {name: _with_effect(solution.spec, name) for name in names}
-    about = {name: replace(columns, estimate=solver.solve(spec).estimate) for name, spec in specs.items()}
+    specs = {name: _with_effect(state.solution.spec, name) for name in names}
+    about = {
+        name: replace(state.found.columns, estimate=state.solver.solve(spec).estimate) for name, spec in specs.items()
+    }
     kept = sums.kept()
     if not any(about[name].bends(spec, kept) for name, spec in specs.items()):
         return {}
     return {name: _settled(sums, spec, about[name]) for name, spec in specs.items()}
 
 
-def _best_predictor(settled: dict[str, _Settled], delayed: tuple[Solver, FullSolution] | None) -> str | None:
+def _best_predictor(settled: dict[str, EffectSearch], delayed: tuple[Solver, FullSolution] | None) -> str | None:
     """Return which effect, or the delay of a solution, predicts data left out best; None if none was settled."""
-    fits = {name: (solver, solution) for name, (_, solver, solution, _) in settled.items()}
+    fits = {name: (each.solver, each.solution) for name, each in settled.items()}
     if fits and delayed is not None:
         fits[DELAY] = delayed
     errors = {name: solver.left_out(solution.spec)[:, 0] for name, (solver, solution) in fits.items()}
     return min(errors, key=lambda name: float(errors[name][predictable(errors[name])].mean()), default=None)
 
 
-def _settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> _Settled:
+def _settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> EffectSearch:
     """Solve about the measured currents or, where effects move them far, about those in the map.
 
     The latter takes the kept windows only. If these are not all, it must fit clearly better.
@@ -283,27 +266,27 @@ def _settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> _Sett
     if move and not sums.thinned:
         return _iterated(sums, spec, columns, move=True)
     start = _iterated(sums, spec, columns)
-    moved = _iterated(sums, spec, start[-1], move=True) if move else start
-    return moved if _GROWN * moved[2].residual_rms < start[2].residual_rms else start
+    moved = _iterated(sums, spec, start.found.columns, move=True) if move else start
+    return moved if _GROWN * moved.solution.residual_rms < start.solution.residual_rms else start
 
 
-def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move: bool = False) -> _Settled:
+def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move: bool = False) -> EffectSearch:
     """Solve, and linearize about the solution again, until the residuals settle or grow.
 
     They grow where an effect moves the current by so much that the linearization fails.
     """
-    best: _Settled | None = None
+    best: EffectSearch | None = None
     for _ in range(_SETTLING):
-        extended = (sums.moved(columns.moved) if move else sums).with_effects(columns)
+        extended = (sums.changed(columns.moved) if move else sums).with_effects(columns)
         solver = Solver.over(extended)
-        found = extended, solver, solver.solve(spec), columns
-        change = -1.0 if best is None else found[2].residual_rms / best[2].residual_rms - 1.0
+        found = EffectSearch(extended, solver, solver.solve(spec), FoundEffects(columns))
+        change = -1.0 if best is None else found.solution.residual_rms / best.solution.residual_rms - 1.0
         if best is not None and change > _GROWN - 1.0:
             return best
         best = found
         if -change < _SETTLED or not (spec.effects or _remains(solver)):
             break
-        columns = replace(columns, estimate=found[2].estimate)
+        columns = replace(columns, estimate=found.solution.estimate)
         if "link_ripple" in spec.effects:
             beside = columns.estimate.copy()
             beside[solver.model.effect("link_ripple")] = 0.0
@@ -313,32 +296,32 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
     return found
 
 
-def _with_hidden_ripple(sums: WindowSums, state: _Settled, noise: CurrentNoise) -> _Settled:
+def _with_hidden_ripple(sums: WindowSums, state: EffectSearch, noise: CurrentNoise) -> EffectSearch:
     """Look again for a ripple of the DC link, whose frequency could not be found below a larger effect."""
-    extended, solver, solution, columns = state
-    beyond = _beyond(solver.model, solution, noise)
+    model, solution, columns = state.solver.model, state.solution, state.found.columns
+    beyond = _beyond(model, solution, noise)
     if np.isfinite(columns.link) or "link_ripple" in solution.spec.effects or beyond <= _LEAST_BEYOND:
         return state
-    ripple, share = ripple_frequency(solver.model, solution.estimate, extended.kept())
+    ripple, share = ripple_frequency(model, solution.estimate, state.sums.kept())
     return _settled(sums, solution.spec, replace(columns, ripple=ripple)) if share > _OF_MISFIT * beyond else state
 
 
 def _beyond(model: FullModel, solution: FullSolution, noise: CurrentNoise) -> float:
     """Return the share of the squared residuals that noise does not explain."""
-    return float(1.0 - noise.explained(model, solution) / max(solution.residual_rms**2, _TINY))
+    return float(1.0 - noise.explained(model, solution) / max(solution.residual_rms**2, TINY))
 
 
 def several_speeds(speeds: FloatArray) -> bool:
     """Tell whether the 5 % of the data at either end have clearly different speeds."""
     low, high = np.quantile(speeds, [0.05, 0.95])
-    return bool(high - low > _SPEEDS_APART * max(abs(low), abs(high)))
+    return bool(high - low > SPEEDS_APART * max(abs(low), abs(high)))
 
 
 def with_effects_only(sums: WindowSums, search: EffectSearch, effects: tuple[str, ...]) -> EffectSearch:
     """Return the search with some of its effects, solved again."""
     spec, columns = search.solution.spec, replace(search.found.columns, estimate=search.solution.estimate)
-    extended, solver, solution, columns = _settled(sums, replace(spec, effects=effects), columns)
-    return EffectSearch(extended, solver, solution, replace(search.found, columns=columns))
+    settled = _settled(sums, replace(spec, effects=effects), columns)
+    return replace(settled, found=replace(search.found, columns=settled.found.columns))
 
 
 def plausible_effects(solution: FullSolution, model: FullModel, period: float) -> tuple[str, ...]:
@@ -387,7 +370,7 @@ def _best(savings: dict[str, float], *, physical: bool) -> str | None:
     others = {name: saving for name, saving in savings.items() if name != DELAY}
     best = max(others, key=lambda name: others[name], default=DELAY)
     if DELAY in savings:
-        margin = _RESEMBLANCE if physical else -_CLOSE * savings[DELAY]
+        margin = _CLOSE if physical else -_CLOSE * savings[DELAY]
         if best == DELAY or savings[DELAY] + margin > others[best]:
             return DELAY
     for name, preferred in _AT_ONE_SPEED.items():
@@ -401,7 +384,7 @@ def _worthwhile(solver: Solver, solution: FullSolution, name: str, saving: float
     unknowns = 1 if name == DELAY else EFFECTS[name].stop - EFFECTS[name].start
     rows, own = max(solution.rows, 1.0), solver.model.effect("remainder").start
     uncertain = UNCERTAIN_SHARE**2 * solver.total[own, own] / rows
-    least = _LEAST_BESIDE if name in _BESIDE else _LEAST_SAVING
+    least = LEAST_BESIDE if name in _BESIDE else _LEAST_SAVING
     return bool(
         saving > least + _PER_UNKNOWN * unknowns / rows
         and saving * solution.sum_of_squares / rows > _LEAST_VOLTAGE**2 * solver.total_voltage + uncertain
@@ -418,10 +401,8 @@ def _by_data(solver: Solver, solution: FullSolution, name: str) -> bool:
 
 
 def _predicts(solver: Solver, spec: ModelSpec, other: ModelSpec) -> bool:
-    """Tell whether another variant predicts held-out data better in all folds but one, which may hold a disturbance."""
-    error, by_other = (solver.left_out(each)[:, 0] for each in (spec, other))
-    folds = predictable(error)
-    return bool(np.sum(by_other[folds] < error[folds]) >= max(folds.sum() - 1, 1))
+    """Tell whether another variant predicts held-out data better."""
+    return better_on_most_folds(*(solver.left_out(each)[:, 0] for each in (spec, other)))
 
 
 def _columns(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole_pairs: int | None) -> EffectColumns:

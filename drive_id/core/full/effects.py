@@ -69,7 +69,7 @@ from drive_id.core.full.model import (
 )
 from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.core.maps.flux_models import jacobian
-from drive_id.types import FloatArray, Samples
+from drive_id.types import TINY, FloatArray, Samples
 
 OF_RECORDINGS = (
     "copper_heating",
@@ -90,8 +90,6 @@ _SLOWEST = 1.0
 
 _BENDS = 0.1
 """Of a cell of the map: a shift of the current by which a cubic spline keeps its slope within some percent."""
-
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 def between(x: ComplexArray) -> ComplexArray:
@@ -248,7 +246,7 @@ class EffectColumns:
         return {
             "iron_loss": [-e],
             "hysteresis": [-e / speed],
-            "coercivity": [-e / np.maximum(np.abs(e), _TINY)],
+            "coercivity": [-e / np.maximum(np.abs(e), TINY)],
             "current_rotation": [-1j * i_dq],
             "current_gains": [-mirrored, -1j * mirrored],
             "current_offset": [-turn.conj(), -1j * turn.conj()],

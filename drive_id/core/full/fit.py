@@ -14,16 +14,15 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import Delay, DelayJump, delay_jump
 from drive_id.core.full.effect_search import EffectSearch, FoundEffects
-from drive_id.core.full.lack_of_fit import LEAST_TOLD, GroupSums, LackOfFit, tested_causes
+from drive_id.core.full.lack_of_fit import GroupSums, LackOfFit, tested_causes
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
-from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.selection import Selection, effects_to_try, select
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, correct_attenuation
+from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver, correct_attenuation
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
-from drive_id.core.maps.flux_models import BasisRows, FluxModel, jacobian
-from drive_id.core.numerics.threads import in_threads, one_blas_thread
-from drive_id.types import BoolArray, FloatArray
+from drive_id.core.maps.flux_models import BasisRows, jacobian, positive_definite
+from drive_id.core.numerics.threads import MOST_THREADS, in_threads, one_blas_thread
+from drive_id.types import TINY, BoolArray, FloatArray
 
 BATCH = 0.05
 """Residuals of windows that start within this time are treated as dependent, others as independent, s."""
@@ -31,28 +30,22 @@ BATCH = 0.05
 _SIGNIFICANCE = 5.0
 """Standard errors by which an effect must differ from zero to be kept."""
 
-_SERIES = 16
-"""Most terms of the binomial series of the leverage correction."""
-_CONVERGED = 1e-3
-"""Term of the series, relative to the sum, that ends it: far below the uncertainty of a standard error."""
+_SERIES, _CONVERGED = 16, 1e-3
+"""Most terms of the binomial series of the leverage correction, and the term, relative to the sum, that ends it: far
+below the uncertainty of a standard error."""
 _SLOPE_STEP = 0.02
 """Relative to i_max, over which the slope of the drop is taken: wider than the noise, narrower than the step."""
 _STUDENT = 1.21
 """Relative excess of Student's 97.5 % quantile over the normal one, per inverse degree of freedom: (1.96^2 + 1) / 4."""
-_KURTOSIS = 3.0
-"""Fourth power of a normal variable, relative to its squared variance."""
 _FEWEST = 6.0
 """Fewest degrees of freedom that are assumed, since their estimate is low by chance where there are few."""
-_PARTS = 4
-"""Parts of the windows that are evaluated in parallel threads."""
 _BY_SHAPE = 2.0
 """Standard errors, for white residuals, by which R must change with the shape of the curve to be uncertain by that."""
 _PASSIVE_POINTS = 41
 """Per axis, at which passivity is tested: two to three for each usual cell."""
-_STIFFER = 10.0
-"""Factor by which the roughness penalty grows in each round."""
-_ROUNDS = 7
-"""Most rounds: seven decades end in a map with constant inductances."""
+_STIFFER, _ROUNDS = 10.0, 7
+"""Factor by which the roughness penalty grows in each round, and most rounds: seven decades end in a map with constant
+inductances."""
 
 
 _Batch = tuple[FloatArray, float, float, float]
@@ -143,9 +136,9 @@ class FullFit:
         at = self.model.effect(effect).start + column
         return bool(self.selection.solver.total[at, at] > 0)
 
-    def sigma(self, form: FloatArray) -> float:
-        """Return the standard error of a linear function (size,) of the estimate."""
-        return float(sigma(form @ self.assessment.changes))
+    def sigma(self, column: int) -> float:
+        """Return the standard error of one entry of the estimate."""
+        return float(sigma(self.assessment.changes[column]))
 
     def white_sigma(self, rows: BasisRows) -> FloatArray:
         """Return the standard errors (N, 2) of fluxes B gamma under white residuals, Wb."""
@@ -157,14 +150,12 @@ class FullFit:
 
     def passive(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) where the symmetric part of the flux map's Jacobian at currents (N, 2), A, is positive definite."""
-        return passive_points(self.model.flux, self.solution.estimate[self.model.map], i_dq)
+        return positive_definite(jacobian(self.model.flux, self.solution.estimate[self.model.map], i_dq))
 
     @property
     def sigma_resistance(self) -> float:
         """Ohm."""
-        form = np.zeros(self.model.size)
-        form[RESISTANCE] = 1.0
-        return self.sigma(form)
+        return self.sigma(RESISTANCE)
 
 
 def sigma(changes: FloatArray) -> FloatArray:
@@ -176,7 +167,7 @@ def sigma(changes: FloatArray) -> FloatArray:
     """
     squares = changes**2
     total = squares.sum(axis=-1)
-    freedom = _KURTOSIS * total**2 / np.maximum(np.sum(squares**2, axis=-1), np.finfo(np.float64).tiny)
+    freedom = 3 * total**2 / np.maximum(np.sum(squares**2, axis=-1), TINY)
     return np.asarray(np.sqrt(total) * (1 + _STUDENT / np.maximum(freedom, _FEWEST)))
 
 
@@ -186,24 +177,18 @@ class EarlierFit:
 
     Parameters
     ----------
-    orders : tuple of int
-        Harmonics that its sums covered.
-    cells : Resolution, optional
-        Cells of its map and harmonics, if not the usual ones.
+    model : FullModel
+        Of its sums.
     moved : bool
         Whether its currents were those in the map, see :meth:`~drive_id.core.full.effects.EffectColumns.moved`.
-    remains : bool
-        Whether its sums held the remainder, see :mod:`drive_id.core.full.effects`, though there was no effect.
-    advantage : float
-        See :class:`~drive_id.core.full.selection.Selection`.
+    extended : bool
+        Whether its sums held the columns of effects, or the remainder alone, see :mod:`drive_id.core.full.effects`.
     """
 
-    orders: tuple[int, ...]
-    cells: Resolution | None
+    model: FullModel
     moved: bool
-    remains: bool
+    extended: bool
     spec: ModelSpec
-    advantage: float
     found: FoundEffects
     assessment: Assessment
 
@@ -214,12 +199,10 @@ class EarlierFit:
             return None
         search = fit.selection.search
         return cls(
-            orders=fit.model.orders,
-            cells=fit.model.cells,
+            model=fit.model,
             moved=search.sums.kept()[0].moved is not None,
-            remains=search.sums.effects is not None,
+            extended=search.sums.effects is not None,
             spec=fit.spec,
-            advantage=fit.selection.advantage,
             found=search.found,
             assessment=fit.assessment,
         )
@@ -230,18 +213,17 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
 
     Standard errors, lack of fit and outliers are those of the earlier fit, because they require the windows themselves.
     """
-    if earlier.cells is not None:
-        sums = sums.resolved(earlier.cells, earlier.orders)
-    elif earlier.orders != sums.model.orders:
-        sums = sums.with_orders(earlier.orders)
+    model = replace(sums.model, orders=earlier.model.orders, cells=earlier.model.cells)
+    if model.cells is not None or model.orders != sums.model.orders:
+        sums = sums.over(model)
     if earlier.moved:
-        sums = sums.moved(earlier.found.columns.moved)
-    if earlier.spec.effects or earlier.remains:
+        sums = sums.changed(earlier.found.columns.moved)
+    if earlier.extended:
         sums = sums.with_effects(earlier.found.columns)
     solver = Solver.over(sums)
     plain = solver.solve(earlier.spec)
     search = EffectSearch(sums, solver, plain, earlier.found)
-    selection = Selection(plain, search, earlier.advantage)
+    selection = Selection(plain, search)
     solution, _ = correct_attenuation(solver, plain, noise)
     return FullFit(model=sums.model, solution=solution, selection=selection, assessment=earlier.assessment)
 
@@ -274,7 +256,8 @@ def fit_full(
     noise = CurrentNoise.met(variance, sums.kept(), angle_variance)
     if earlier is not None and not settings.passive_maps:
         return fit_again(sums, earlier, noise)
-    sums, selection = select(sums, settings, turn, noise)
+    selection = select(sums, settings, turn, noise)
+    sums = selection.search.sums
     noise = CurrentNoise.met(variance, sums.kept(), angle_variance)
     kept, solver, uncertain = sums.kept(), selection.solver, selection.solution
     while True:
@@ -302,7 +285,6 @@ def fit_full(
         every = Windows.joined(list(kept))
         jump = delay_jump(every, sums.model.residuals(every, solution.estimate))
     durations = np.concatenate([windows.duration for windows in kept])
-    tiny = np.finfo(np.float64).tiny
     assessment = Assessment(
         changes=changes,
         misfit=misfit,
@@ -310,8 +292,8 @@ def fit_full(
         drop_slope=_drop_slope(sums.model, solution, kept),
         turn=float(np.median(np.abs(speeds) * durations)),
         duration=float(np.median(durations)),
-        outlying=float(energy.max() / max(np.median(energy), tiny)),
-        outlying_share=float(np.sqrt(energy.max() / max(solver.total_voltage, tiny))),
+        outlying=float(energy.max() / max(np.median(energy), TINY)),
+        outlying_share=float(np.sqrt(energy.max() / max(solver.total_voltage, TINY))),
         outlying_time=float(times[energy.argmax()]),
         jump=jump,
     )
@@ -324,9 +306,9 @@ def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> F
     At a constant speed it turns all fluxes, and the residuals hardly change.
     """
     delay, found = Delay(solution.spec.delay, 0.0), selection.search.found
-    if delay.value != found.delay or delay.physical:
+    if delay.value != found.delay.value or delay.physical:
         return np.zeros(solver.model.size)
-    other = float(np.clip(delay.value + found.sigma_delay, -MOST_DELAY, MOST_DELAY))
+    other = float(np.clip(delay.value + found.delay.sigma, -MOST_DELAY, MOST_DELAY))
     return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate
 
 
@@ -350,7 +332,7 @@ def _weakest(model: FullModel, solution: FullSolution, changes: FloatArray) -> s
     ratios = {}
     for name in solution.spec.effects:
         own = model.effect(name)
-        errors = np.maximum(sigma(changes[own]), np.finfo(np.float64).tiny)
+        errors = np.maximum(sigma(changes[own]), TINY)
         ratios[name] = float(np.max(np.abs(solution.estimate[own]) / errors))
     weakest = min(ratios, key=lambda name: ratios[name], default=None)
     return weakest if weakest is not None and ratios[weakest] < _SIGNIFICANCE else None
@@ -388,12 +370,12 @@ def residual_statistics(
         batches, groups = [], GroupSums(solution.basis.shape[1])
         for segment in segments:
             rows = model.design_times(segment, through, solution.spec.orders)
-            expected = noise.squares(model, solution.estimate, segment)
+            expected = noise.expected(model, solution.estimate, segment)
             batches.append(_batch_scores(solution, covariance, segment, rows, expected))
             groups.add(segment, rows, expected, model.i_max)
         return batches, groups
 
-    parts = in_threads(evaluated, [kept[number::_PARTS] for number in range(_PARTS)])
+    parts = in_threads(evaluated, [kept[number::MOST_THREADS] for number in range(MOST_THREADS)])
     (_, groups), *others = parts
     for _, other in others:
         groups.merge(other)
@@ -436,14 +418,6 @@ def _batch_scores(
     return out
 
 
-def passive_points(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> BoolArray:
-    """Tell (N,) where the symmetric part of the Jacobian at currents (N, 2), A, is positive definite."""
-    inductances = jacobian(model, gamma, i_dq)
-    l_dd, l_qq = inductances[:, 0, 0], inductances[:, 1, 1]
-    cross = 0.5 * (inductances[:, 0, 1] + inductances[:, 1, 0])
-    return np.asarray((l_dd > 0) & (l_dd * l_qq > cross**2))
-
-
 def enforce_passivity(solver: Solver, solution: FullSolution) -> FullSolution:
     """Increase the roughness penalty tenfold until the inductance matrix is positive definite on the whole disc.
 
@@ -455,7 +429,7 @@ def enforce_passivity(solver: Solver, solution: FullSolution) -> FullSolution:
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     i_dq = grid[np.hypot(*grid.T) <= model.i_max]
     for _ in range(_ROUNDS):
-        if passive_points(model.flux, solution.estimate[model.map], i_dq).all():
+        if positive_definite(jacobian(model.flux, solution.estimate[model.map], i_dq)).all():
             break
         solution = solver.solve(replace(solution.spec, penalty=_STIFFER * solution.spec.penalty))
     return solution

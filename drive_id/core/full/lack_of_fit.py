@@ -19,15 +19,12 @@ from scipy import sparse
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effect_search import effect_savings
 from drive_id.core.full.model import FullModel
-from drive_id.core.full.selection import HIGHEST_ORDER, explained_shares
+from drive_id.core.full.selection import explained_shares
 from drive_id.core.full.solver import FullSolution, Solver
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.coverage import smoothed
-from drive_id.types import BoolArray, FloatArray, IntArray
-
-LEAST_TOLD = 1.3
-"""Ratio of the residuals to noise above which a warning is given."""
+from drive_id.types import TINY, FloatArray, IntArray
 
 _CELLS = 12
 """Per axis of the current plane: with 10 s of data, a cell holds some 100 windows, but misfits of the map are wider."""
@@ -39,7 +36,6 @@ _NEIGHBOURS = 2
 """Cells to each side over which the missed flux is averaged."""
 _SIGNIFICANCE = 4.0
 """Standard deviations of the mean square of cells from which on a misfit recurs in them."""
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +99,9 @@ class GroupSums:
         turned = (error[:, 0] + 1j * error[:, 1]) * np.exp(-1j * windows.angle.mean(axis=1))
         scores = np.einsum("nak,na->nk", rows[..., :-1], error)
         facts = np.stack([np.ones(len(windows)), turned.real, turned.imag, np.abs(turned) ** 2, expected], axis=1)
-        cell, position = _groups(windows, i_max)
+        cell = _cell(windows.i_dq.mean(axis=1), i_max)
+        position = (np.mod(windows.angle[:, 0], 2 * np.pi) / (2 * np.pi) * _POSITIONS).astype(np.int64)
+        position = np.minimum(position, _POSITIONS - 1)
         _add_by(cell, self._by_cell, (scores, facts, _flux_facts(windows, turned)))
         _add_by(position, self._by_position, (scores, facts))
 
@@ -122,7 +120,7 @@ class GroupSums:
             Number of all windows over that of the windows added.
         """
         (by_cell, cells, fluxes), (by_position, positions) = self._by_cell, self._by_position
-        squares = cells[:, 3] / np.maximum(cells[:, 4], _TINY)
+        squares = cells[:, 3] / np.maximum(cells[:, 4], TINY)
         enough = cells[:, 0] > _FEWEST
         worst = int(np.argmax(np.where(enough, squares, 0.0)))
         ratios = [_repeating(facts) for facts in (cells, positions)]
@@ -131,7 +129,7 @@ class GroupSums:
             for ratio, scores in zip(ratios, (by_cell, by_position), strict=True)
             if ratio > 1
         ]
-        inner = _inner_cells() & enough
+        inner = enough & (np.hypot(*_centre(np.arange(_CELLS**2), 1.0)) < 0.2)
         return LackOfFit(
             ratio=_rms_ratio(cells[enough]),
             i_dq=_centre(worst, model.i_max),
@@ -151,8 +149,8 @@ def tested_causes(sums: WindowSums, solver: Solver, solution: FullSolution, effe
     model, kept = sums.model, sums.kept()
     period = float(kept[0].period[0])
     causes = effect_savings(solver, solution, [name for name in effects if name not in solution.spec.effects], period)
-    causes["devices"] = solver.saving(solution, model.usual_drops)[0]
-    shares = explained_shares(model, solution.estimate, kept, HIGHEST_ORDER)
+    causes["devices"] = solver.saving(solution, slice(model.drops.start, model.drops.start + 3 * model.shapes.usual))[0]
+    shares = explained_shares(model, solution.estimate, kept)
     causes[f"harmonic {1 + int(shares.argmax())}"] = float(shares.max())
     return causes
 
@@ -190,13 +188,13 @@ def missed_flux(facts: FloatArray) -> FloatArray:
     """
     enough = facts[:, 0] > _FEWEST
     count, weight, *flux, square = np.where(enough, facts.T, 1.0)
-    weight = np.maximum(weight, _TINY)  # a rotor that stands still shows none
+    weight = np.maximum(weight, TINY)  # a rotor that stands still shows none
     mean = np.stack(flux, axis=1) / weight[:, None]
     noise = np.maximum(square / count - weight / count * np.sum(mean**2, axis=1), 0.0) / 2 / weight
     side = (_CELLS, _CELLS)
     excess = np.where(enough[:, None], mean**2 - noise[:, None], 0.0).reshape(*side, 2)
     cells = max(int(enough.sum()), 1)
-    relative = excess.sum(axis=(0, 1)) / max(float(noise[enough].sum()), _TINY)
+    relative = excess.sum(axis=(0, 1)) / max(float(noise[enough].sum()), TINY)
     if not enough.any() or relative.max() < _SIGNIFICANCE * np.sqrt(2 / cells):
         return np.zeros_like(excess)
     local = [smoothed(excess[..., k], enough.reshape(side), _NEIGHBOURS) for k in range(2)]
@@ -205,14 +203,7 @@ def missed_flux(facts: FloatArray) -> FloatArray:
 
 def _rms_ratio(facts: FloatArray) -> float:
     """Return the rms of the residuals of groups over that of noise; 1 without any."""
-    return float(np.sqrt(facts[:, 3].sum() / max(facts[:, 4].sum(), _TINY))) if len(facts) else 1.0
-
-
-def _groups(windows: Windows, i_max: float) -> Sequence[IntArray]:
-    """Return for each window the number of its cell of the current plane and of its rotor position."""
-    position = np.mod(windows.angle[:, 0], 2 * np.pi) / (2 * np.pi)
-    cell = _cell(windows.i_dq.mean(axis=1), i_max)
-    return cell, np.minimum((position * _POSITIONS).astype(np.int64), _POSITIONS - 1)
+    return float(np.sqrt(facts[:, 3].sum() / max(facts[:, 4].sum(), TINY))) if len(facts) else 1.0
 
 
 def _cell(i_dq: FloatArray, i_max: float) -> IntArray:
@@ -222,13 +213,9 @@ def _cell(i_dq: FloatArray, i_max: float) -> IntArray:
     return np.asarray(cell[:, 0] * _CELLS + cell[:, 1])
 
 
-def _centre(cell: int, i_max: float) -> FloatArray:
+def _centre(cell: int | IntArray, i_max: float) -> FloatArray:
+    """Return the currents (2, ...) in the middle of cells, A."""
     return np.asarray((2 * (np.array(divmod(cell, _CELLS)) + 0.5) / _CELLS - 1) * i_max)
-
-
-def _inner_cells() -> BoolArray:
-    centres = np.array([_centre(cell, 1.0) for cell in range(_CELLS**2)])
-    return np.asarray(np.hypot(*centres.T) < 0.2)
 
 
 def _repeating(facts: FloatArray) -> float:
@@ -240,6 +227,6 @@ def _repeating(facts: FloatArray) -> float:
     if not len(count):
         return 1.0
     white = square.sum() / count.sum()
-    found = (real**2 + imag**2) / count / max(white, _TINY)
+    found = (real**2 + imag**2) / count / max(white, TINY)
     ratio = float(found.mean())
     return ratio if ratio > 1 + _SIGNIFICANCE / np.sqrt(len(count)) else 1.0

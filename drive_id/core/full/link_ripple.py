@@ -13,22 +13,17 @@ import numpy as np
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import FullModel
 from drive_id.core.full.windows import Windows
-from drive_id.types import FloatArray
+from drive_id.types import TINY, FloatArray
 
-_MAINS = 5e-3
-"""Relative tolerance of the mains' frequency."""
 _BANDS = (
     (0.2, 20.0),
-    *((nominal * (1 - _MAINS), nominal * (1 + _MAINS)) for nominal in (100.0, 120.0, 300.0, 360.0, 600.0, 720.0)),
+    *((0.995 * nominal, 1.005 * nominal) for nominal in (100.0, 120.0, 300.0, 360.0, 600.0, 720.0)),
 )
-"""Slow control of the supply, and ripple of rectified mains, Hz."""
-_MOST_WINDOWS = 1500
-"""Windows over which frequencies are compared: 2 unknowns for each frequency and run."""
+"""Slow control of the supply, and ripple of rectified mains, whose frequency may be 0.5 % off, Hz."""
 _STRETCH = 60.0
 """Of each run, s, over which frequencies are compared: the number of frequencies grows with it."""
 _STEPS_PER_TURN = 3.0
 """Frequencies tried for each turn by which the phase would drift over a stretch."""
-_TINY = float(np.finfo(np.float64).tiny)
 _FINER = 8
 """Frequencies tried, over the whole runs, between two of the best neighbours."""
 
@@ -82,10 +77,10 @@ def ripple_frequency(
 
 def _saving(model: FullModel, estimate: FloatArray, windows: Windows) -> Callable[[float], float]:
     """Return the function of a frequency, Hz, that tells which share of the squared residuals it explains."""
-    some = windows.scattered(_MOST_WINDOWS)
+    some = windows.scattered()
     left, weights = model.residuals(some, estimate), np.sqrt(some.weights)
     error = left[:, 0] + 1j * left[:, 1]
-    total = max(float(np.vdot(error, error).real), _TINY)
+    total = max(float(np.vdot(error, error).real), TINY)
     runs, unweighted = [np.flatnonzero(some.run == run) for run in np.unique(some.run)], ripple_columns(some)
 
     def saved(frequency: float) -> float:

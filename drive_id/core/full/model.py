@@ -17,19 +17,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 from scipy import sparse
 
 from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.windows import LAGS, SHIFTS, Windows
-from drive_id.core.maps.coenergy import GradientSpline
-from drive_id.core.maps.flux_models import BasisRows, ColumnArray
+from drive_id.core.maps.coenergy import GradientSpline, PotentialSpline
+from drive_id.core.maps.flux_models import ColumnArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.core.numerics.compiled import compiled
 from drive_id.temperature import COPPER
-from drive_id.types import BoolArray, FloatArray, IntArray
+from drive_id.types import TINY, BoolArray, FloatArray, IntArray
 
 FLUX_DEGREE, HARMONIC_DEGREE = 4, 3
 """Of the co-energies of map and harmonics."""
@@ -95,18 +94,9 @@ _CURVE_POINTS = 101
 _DROP_RIDGE = 1e-7  # likewise of the shapes of the curve: they are nearly dependent
 _EFFECT_RIDGE = 1e-9
 """Relative to the mean diagonal of Z'Z over the columns: only keeps the factorization of columns without data."""
-_TINY = float(np.finfo(np.float64).tiny)
 
 
-class Space(Protocol):
-    """Maps linear in ``parameters`` coefficients."""
-
-    @property
-    def parameters(self) -> int:
-        """Number of coefficients."""
-
-    def rows(self, i_dq: FloatArray) -> BasisRows:
-        """Return the basis functions at currents (N, 2), A."""
+Space = GradientSpline | PotentialSpline
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,11 +197,6 @@ class FullModel:
         return slice(MAGNET + 1, MAGNET + 1 + 3 * len(self.shapes.scales))
 
     @cached_property
-    def usual_drops(self) -> slice:
-        """Columns of the usual shapes of the inverter's drop."""
-        return slice(self.drops.start, self.drops.start + 3 * self.shapes.usual)
-
-    @cached_property
     def lags(self) -> slice:
         """Columns of the drop that remains after compensation with the currents one sample earlier."""
         return slice(self.drops.stop, self.drops.stop + len(self.shapes.coarse.scales))
@@ -285,21 +270,6 @@ class FullModel:
         inside = self.flux.contains(windows.i_dq.reshape(-1, 2)).reshape(-1, 2)
         return np.asarray(inside.all(axis=1))
 
-    def design(self, windows: Windows, layout: Layout | None = None) -> FloatArray:
-        """Return the rows Z of N windows, (N, 2, size): real parts in [:, 0], imaginary parts in [:, 1].
-
-        Parameters
-        ----------
-        layout : Layout, optional
-            :attr:`summed` for Z S.
-        """
-        layout = layout or self.columns
-        out = np.zeros((len(windows), 2, layout.size))
-        self._beside_flux(windows, out)
-        for turn, column, value, start, factor in self._ends(windows, layout, self.orders):
-            add_end(column, value, turn, start, factor, out)
-        return _weighted(out, windows.weight)
-
     def nonzero_columns(self, windows: Windows) -> Iterator[tuple[FloatArray, IntArray]]:
         """Yield the nonzero columns of all windows in the sums, (2 N, C), and their indices (C,), increasing.
 
@@ -310,24 +280,25 @@ class FullModel:
         beside = np.zeros((len(windows), 2, self.summed.start))
         self._beside_flux(windows, beside)
         ends = list(self._ends(windows, self.summed, self.orders))
-        spaces = len(ends) // 2
+        spaces, size = len(ends) // 2, self.summed.size
+        one_each, place, shares = np.arange(size + 1, dtype=np.int32), np.zeros(size, np.int32), np.ones(size)
         for group in (slice(*each) for each in pairwise(edges)):
-            columns, places = [np.flatnonzero(beside[group].any(axis=(0, 1)))], []
+            columns = [np.flatnonzero(beside[group].any(axis=(0, 1)))]
             for both in zip(ends[:spaces], ends[spaces:], strict=True):
                 met = [column[group] for _, column, *_ in both]
                 used = np.zeros(1 + max(int(column.max()) for column in met), np.bool_)
                 for column in met:
                     used[column] = True
-                functions, start = np.flatnonzero(used), both[0][3]
-                first = sum(map(len, columns)) + len(functions) * np.arange(len(start))
-                places.append((np.cumsum(used, dtype=np.int32) - 1, first))
-                columns.append((start[:, None] + functions).ravel())
-            out = np.zeros((group.stop - group.start, 2, sum(map(len, columns))))
+                columns.append((both[0][3][:, None] + np.flatnonzero(used)).ravel())
+            indices = np.concatenate(columns)
+            place[indices] = np.arange(len(indices))
+            out = np.zeros((group.stop - group.start, 2, len(indices)))
             out[:, :, : len(columns[0])] = beside[group][:, :, columns[0]]
-            for (turn, column, value, _, factor), (place, first) in zip(ends, 2 * places, strict=True):
-                add_end(place[column[group]], value[group], turn[group], first, factor[:, group].copy(), out)
+            for turn, column, value, start, factor in ends:
+                of_group = column[group], value[group], turn[group], start, factor[:, group].copy()
+                add_end(*of_group, one_each, place, shares, out)
             rows = _weighted(out, None if windows.weight is None else windows.weight[group])
-            yield rows.reshape(-1, out.shape[2]), np.concatenate(columns)
+            yield rows.reshape(-1, out.shape[2]), indices
 
     def residuals(self, windows: Windows, estimate: FloatArray) -> FloatArray:
         """Return Z times an estimate (size,), (N, 2), Vs."""
@@ -344,7 +315,7 @@ class FullModel:
         self._beside_flux(windows, known)
         out[:, :, used] = known[:, :, met] @ beside[np.ix_(met, used)]
         for turn, column, value, start, factor in self._ends(windows, self.columns, orders):
-            add_end_through(column, value, turn, start, factor, t.indptr, t.indices, t.data, out)
+            add_end(column, value, turn, start, factor, t.indptr, t.indices, t.data, out)
         return _weighted(out, windows.weight)
 
     def map_squares(self, windows: Windows) -> float:
@@ -410,11 +381,22 @@ def _weighted(rows: FloatArray, weight: FloatArray | None) -> FloatArray:
     return rows
 
 
-@compiled("const i4[:, :, ::1], const f8[:, :, ::1], const f8[:, ::1], const i8[::1], const f8[:, ::1], f8[:, :, ::1]")
+@compiled(
+    "const i4[:, :, ::1], const f8[:, :, ::1], const f8[:, ::1], const i8[::1], const f8[:, ::1], "
+    "const i4[::1], const i4[::1], const f8[::1], f8[:, :, ::1]"
+)
 def add_end(
-    column: ColumnArray, value: FloatArray, turn: FloatArray, start: IntArray, factor: FloatArray, out: FloatArray
+    column: ColumnArray,
+    value: FloatArray,
+    turn: FloatArray,
+    start: IntArray,
+    factor: FloatArray,
+    first: ColumnArray,
+    unknown: ColumnArray,
+    share: FloatArray,
+    out: FloatArray,
 ) -> None:
-    """Add the flux at one end of the windows to the rows of the regression, for all maps in one space.
+    """Add the flux at one end of the windows, for all maps in one space, to the regression's rows times a matrix T.
 
     Parameters
     ----------
@@ -426,40 +408,6 @@ def add_end(
         First column of each map.
     factor : (P, N) float
         Factor on each map.
-    out : (N, 2, size) float
-    """
-    for n in range(column.shape[0]):
-        for p in range(len(start)):
-            cosine, sine = turn[n, 0] * factor[p, n], turn[n, 1] * factor[p, n]
-            for k in range(column.shape[2]):
-                d, q = start[p] + column[n, 0, k], start[p] + column[n, 1, k]
-                out[n, 0, d] += cosine * value[n, 0, k]
-                out[n, 1, d] += sine * value[n, 0, k]
-                out[n, 0, q] -= sine * value[n, 1, k]
-                out[n, 1, q] += cosine * value[n, 1, k]
-
-
-@compiled(
-    "const i4[:, :, ::1], const f8[:, :, ::1], const f8[:, ::1], const i8[::1], const f8[:, ::1], "
-    "const i4[::1], const i4[::1], const f8[::1], f8[:, :, ::1]"
-)
-def add_end_through(
-    column: ColumnArray,
-    value: FloatArray,
-    turn: FloatArray,
-    start: IntArray,
-    factor: FloatArray,
-    first: IntArray,
-    unknown: IntArray,
-    share: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Add the flux at one end of the windows to the rows of the regression times a sparse matrix T.
-
-    Parameters
-    ----------
-    column, value, turn, start, factor
-        As in :func:`add_end`.
     first : (size + 1,) int
         Index of the first entry of each row of T.
     unknown, share : (E,)
@@ -567,19 +515,8 @@ def delay_shares(delay: float) -> FloatArray:
 
     The commanded voltage is held, so a fractional delay takes exactly that fraction of the previous sample.
     """
-    shares = []
-    for shift in SHIFTS:
-        if shift < 0:
-            shares.append(np.clip(delay + shift + 1, 0.0, 1.0))
-        else:
-            shares.append(-np.clip(-delay - shift, 0.0, 1.0))
-    return np.array(shares)
-
-
-def basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
-    """Return T (size, M), from the unknowns of a variant to the columns of the regression."""
-    t = sum_basis(model, spec)
-    return sparse.csr_array(model.expansion @ t) if model.reciprocal else t
+    shifts = np.array(SHIFTS)
+    return np.where(shifts < 0, np.clip(delay + shifts + 1, 0.0, 1.0), -np.clip(-delay - shifts, 0.0, 1.0))
 
 
 def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
@@ -651,8 +588,8 @@ def roughness(model: FullModel, total: FloatArray, penalty: float, unit: float |
         ridge[columns] = _HARMONIC_RIDGE * unit
     for name in EFFECTS:
         columns = model.effect(name)
-        ridge[columns] = np.maximum(_EFFECT_RIDGE * diagonal[columns], _TINY)
-    ridge[model.crossing] = max(_EFFECT_RIDGE * diagonal[model.crossing], _TINY)
+        ridge[columns] = np.maximum(_EFFECT_RIDGE * diagonal[columns], TINY)
+    ridge[model.crossing] = max(_EFFECT_RIDGE * diagonal[model.crossing], TINY)
     for inverter in (model.drops, model.lags):
         ridge[inverter] = _DROP_RIDGE * float(diagonal[inverter].mean())
     before, after = model.map.start, model.size - model.map.stop

@@ -18,7 +18,7 @@ from itertools import pairwise
 import numpy as np
 
 from drive_id.core.maps.coenergy import bent_edges
-from drive_id.types import FloatArray, IntArray
+from drive_id.types import TINY, FloatArray, IntArray
 
 FLUX_CELLS, HARMONIC_CELLS = 16, 4
 """Usual cells per axis of the map and of the amplitudes of its harmonics."""
@@ -32,14 +32,11 @@ _LEAST = 0.5
 """Misfit over noise, both squared, from which on a cell is too coarse: it recurs in each pass, noise averages out."""
 _BENT = 0.25
 """Change of an inductance over a cell, relative to the largest: of smooth saturation, a cell meets a tenth."""
-_ROUNDING = 1e-10  # relative, of gradients and values that count as zero
-_ROUNDS = 3  # changes of the free unknowns for each of them: bounds the time
+_ROUNDING, _ROUNDS = 1e-10, 3
+"""Relative gradients and values that count as zero, and most changes of the free unknowns for each of them."""
 _STRONG = 64.0
 """Squared misfit relative to the least one from which on a cell is divided by four instead of two: the flux between
 knots is off by the third power of their distance, so halves leave 1/64 of the squared misfit of smooth saturation."""
-
-
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +142,7 @@ def misfit_by_cell(
             np.stack([(ends == cell).sum(axis=1) for cell in range(len(edges) - 1)], axis=1, dtype=np.float64)
         )
     columns = np.concatenate([*of_axes, np.ones((len(i_dq), 1))], axis=1)
-    unit = max(float(expected.mean()), _TINY)
+    unit = max(float(expected.mean()), TINY)
     excess, least = (squares - expected) / unit, max(_LEAST, negligible / unit)
     found = np.zeros(columns.shape[1])
     if np.max(columns.T @ excess / np.maximum(columns.sum(axis=0), 1.0)) > least:
@@ -171,7 +168,7 @@ def _nonnegative(gram: FloatArray, moment: FloatArray) -> FloatArray:
             below = free & (trial <= 0.0)
             if not below.any():
                 break
-            x += np.min(x[below] / np.maximum(x[below] - trial[below], _TINY)) * (trial - x)
+            x += np.min(x[below] / np.maximum(x[below] - trial[below], TINY)) * (trial - x)
             free &= x > _ROUNDING * x.max()
             x[~free] = 0.0
         x = trial

@@ -9,17 +9,24 @@ import numpy as np
 
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full.delay import estimate_delay
-from drive_id.core.full.effect_search import EffectSearch, plausible_effects, search_effects, turning, with_effects_only
+from drive_id.core.full.effect_search import (
+    LEAST_BESIDE,
+    EffectSearch,
+    plausible_effects,
+    search_effects,
+    turning,
+    with_effects_only,
+)
 from drive_id.core.full.effects import OF_SENSORS
 from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
+from drive_id.core.full.solver import LEAST_SAVED, CurrentNoise, FullSolution, Solver, better_on_most_folds, predictable
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.full.zero_crossings import between_crossings
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.origins import ORIGINS
-from drive_id.types import FloatArray
+from drive_id.types import TINY, FloatArray
 
 HIGHEST_ORDER = 48
 """Up to which harmonics are searched: bounds the time; those of two and three slots per pole and phase lie below."""
@@ -28,9 +35,6 @@ _CLEAR_GAIN = 0.05
 """Share of the squared error on held-out data that a variant must save: less may be chance."""
 _SOME_GAIN = 0.01
 """Share that the first two folds must save for the others to be tried."""
-_LEAST_SAVED = 3e-4
-"""Relative to the rms voltage. For a reciprocal machine, the misfit of splines and inverter curves, which free maps
-absorb, is at most half of it. If free maps save no more, reciprocal maps cost at most 0.03 % of the flux."""
 _LEAST_COMPENSATED = 0.2
 """Share of the drop from which on lagging columns are taken for a compensation."""
 _CURVE_POINTS = 201
@@ -39,8 +43,6 @@ _ORDER_SIGNIFICANCE = 2.0
 """Mean square of a harmonic's amplitudes, relative to their variances: 1 for an absent one."""
 _LEAST_HARMONIC = 1e-4
 """Rms amplitude relative to the largest flux: without noise, the misfit of the inverter's curve looks like less."""
-_LEAST_BY_CROSSING = 1e-3
-"""Share of the squared residuals that early steps must save if the model has a latency of the currents."""
 _BY_WIDTH = 6.0
 """Standard errors, for white residuals, by which R must change with a wider inverter curve."""
 _COINCIDENCE = 0.1
@@ -58,10 +60,6 @@ _FREE_TURN = np.deg2rad(3.0)
 """Electrical angle per sample above which free maps are not tried: what the current does between samples is known to
 second order only, and what remains is not reciprocal. Of 224 random drives, free maps won in 14 with reciprocal
 machines, 12 of them faster than this, and in 5 with others, 4 of them slower, where they gained 0.03 to 0.06 %."""
-_MOST_WINDOWS = 1500
-"""Windows over which harmonics are searched: 12 unknowns for each order."""
-_LEAST_SHIFT = 0.25
-"""Delay of the voltages, samples, nearer to half a sample than to none."""
 _MOST_LEFT = 0.5
 """Share of the squared residuals that a provisional delay may leave: hard dead time resembles one, but leaves more."""
 _MISFIT_WINDOWS = 6000
@@ -75,7 +73,7 @@ _SMOOTH = 1.0
 _LOCAL = 1e-3
 """Misfit of a cell, relative to the integrated voltage, that matters to nobody."""
 _LEAST_SHARE = 0.03
-"""Share of the squared residuals that a further harmonic must explain: 12 unknowns of 1500 windows explain 0.004."""
+"""Share of the squared residuals that a further harmonic must explain: by chance, its 12 unknowns explain 0.004."""
 _ABOVE_OTHERS = 6.0
 """The same relative to the median over all orders: a broad misfit is explained by none of them."""
 
@@ -90,15 +88,15 @@ class Selection:
     search : EffectSearch
         The selected effects of real drives.
     advantage : float
-        Share by which free maps reduce the squared error on held-out data; negative if they increase it.
+        Share by which free maps, where they are selected, reduce the squared error on held-out data.
     crossings : float
         Excess of the residuals of windows with a zero crossing, see
-        :class:`~drive_id.core.full.zero_crossings.BetweenCrossings`; NaN where the fit includes them.
+        :func:`~drive_id.core.full.zero_crossings.between_crossings`; NaN where the fit includes them.
     """
 
     solution: FullSolution
     search: EffectSearch
-    advantage: float
+    advantage: float = np.nan
     crossings: float = np.nan
 
     @property
@@ -107,49 +105,45 @@ class Selection:
         return self.search.solver
 
 
-def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise) -> tuple[WindowSums, Selection]:
+def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentNoise) -> Selection:
     """Select and fit a variant of the model, see :func:`~drive_id.core.full.fit.fit_full`.
 
-    Returns
-    -------
-    WindowSums, Selection
-        The sums cover other harmonics when the residuals show harmonics that were not among the candidates.
+    Its sums cover other harmonics when the residuals show harmonics that were not among the candidates.
     """
     if settings.maps == "free":
         sums = sums.freed(sums.model.orders)
     crossings, solver = np.nan, Solver.over(sums)
-    start = _aligned(solver, _first_spec(sums, settings, turn), settings, turn, noise)
+    start = _aligned(sums, solver, settings, turn, noise)
     bounded = noise.at_most(solver, start)  # fast currents look like noise to their differences
     sums, solver, start = _resolved(sums, solver, start, bounded)
     # without a motion of the rotor, only windows near zero current tie the map to its value there
     turning = ORIGINS[settings.method].turning
     between = between_crossings(sums, solver, start, noise) if turning else None
-    if between and not _offset_shows(sums, start, noise, between.excess):
-        sums, crossings = between.sums, between.excess
+    if between and not _offset_shows(sums, start, noise, between[1]):
+        sums, crossings = between
         noise = CurrentNoise.met(noise.variance, sums.kept(), noise.angle_variance)
         solver = Solver.over(sums)
-        start = _aligned(solver, _first_spec(sums, settings, turn), settings, turn, noise)
-    start = _with_early_steps(solver, _undelayed(solver, start, settings))
+        start = _aligned(sums, solver, settings, turn, noise)
+    start = _undelayed(solver, start, settings)
     del solver  # its matrices are large
     selection = _select(sums, start, settings, turn, noise)
     known = sums.model.orders
     for _ in range(_SEARCHES if settings.search_orders else 0):
         found = selection.search.sums
-        new = unexpected_orders(sums.model, selection.solution.estimate, found.kept(), known, HIGHEST_ORDER)
+        new = unexpected_orders(sums.model, selection.solution.estimate, found.kept(), known)
         caused = [order for name, order in _CAUSED.items() if name in selection.solution.spec.effects]
         new = tuple(order for order in new if order in distinct_orders((*known, order), turn) and order not in caused)
         if not new:
             break
-        sums = sums.with_orders((*selection.solution.spec.orders, *new)[:MOST_ORDERS])
+        sums = sums.over(replace(sums.model, orders=(*selection.solution.spec.orders, *new)[:MOST_ORDERS]))
         known = (*known, *new)
         solver = Solver.over(sums)
-        start = _aligned(solver, _first_spec(sums, settings, turn), settings, turn, noise)
-        start = _with_early_steps(solver, _undelayed(solver, start, settings))
+        start = _undelayed(solver, _aligned(sums, solver, settings, turn, noise), settings)
         del solver
         selection = _select(sums, start, settings, turn, noise)
     if selection.search.found.taken:  # what they explain may have hidden where the cells are too coarse
         selection = _with_finer_cells(sums, selection, settings, turn, bounded)
-    return selection.search.sums, replace(selection, crossings=crossings)
+    return replace(selection, crossings=crossings)
 
 
 def _with_finer_cells(
@@ -172,13 +166,13 @@ def _with_finer_cells(
             cells, penalty = (cells.finer(misfit) if misfit.shows else cells), _SMOOTH
         if cells is resolution or not solution.spec.reciprocal:
             break
-        finer = sums.resolved(cells, sums.model.orders)
+        finer = sums.over(replace(sums.model, cells=cells))
         solver, delay = Solver.over(finer), 0.0 if settings.calibrate_delay else settings.voltage_delay
         spec = replace(solution.spec, effects=(), delay=delay, penalty=penalty)
         found = _select(finer, solver.solve(spec), replace(settings, maps="reciprocal"), turn, noise)
         error, other = (each.solver.left_out(each.solution.spec)[:, 0] for each in (selection, found))
         if (_saves if turned != turning(found.search.found.taken) else _clearly_better)(solver, error, other):
-            selection = replace(found, advantage=selection.advantage)
+            selection = found
         elif by_misfit:
             break
         bent = True
@@ -204,7 +198,7 @@ def _resolved(
         tried = [] if local is cells else [local]  # as many as there may be
         tried += [local.with_finer_harmonics()] if cells.harmonic == HARMONIC_CELLS else []
         for candidate in tried:
-            finer = sums.resolved(candidate, sums.model.orders)
+            finer = sums.over(replace(sums.model, cells=candidate))
             other = Solver.over(finer)
             found, by_finer = other.best_penalty(spec)
             if _clearly_better(solver, error, by_finer):
@@ -231,7 +225,7 @@ def _bends(model: FullModel, solution: FullSolution) -> list[FloatArray]:
 def _misfit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, total_voltage: float) -> Misfit:
     model, windows = sums.model, Windows.joined(list(sums.kept())).thinned(_MISFIT_WINDOWS)
     squares = np.square(model.residuals(windows, solution.estimate)).sum(axis=1)
-    expected = noise.squares(model, solution.estimate, windows)
+    expected = noise.expected(model, solution.estimate, windows)
     return misfit_by_cell(model.resolution, windows.i_dq, squares, expected, _LOCAL**2 * total_voltage)
 
 
@@ -240,14 +234,13 @@ def _clearly_better(solver: Solver, error: FloatArray, other: FloatArray) -> boo
 
     Clearly means more than noise does, in nearly all folds, and by more than a negligible voltage.
     """
-    folds = predictable(error)
-    return _saves(solver, error, other) and bool(np.sum((other < error)[folds]) >= folds.sum() - 1)
+    return _saves(solver, error, other) and better_on_most_folds(error, other)
 
 
 def _saves(solver: Solver, error: FloatArray, other: FloatArray) -> bool:
     """Tell whether squared errors (F,) on data left out are smaller by more than noise and a negligible voltage."""
     folds = predictable(error)
-    enough = (error - other)[folds].mean() > _LEAST_SAVED**2 * solver.total_voltage
+    enough = (error - other)[folds].mean() > LEAST_SAVED**2 * solver.total_voltage
     return bool(enough and 1.0 - other[folds].sum() / error[folds].sum() > _CLEAR_GAIN)
 
 
@@ -283,16 +276,17 @@ def _select(
 ) -> Selection:
     """Select among the harmonics that the sums cover, from a solution with all of them and without effects."""
     model, orders, i_dq = sums.model, start.spec.orders, noise.windows.i_dq[:, 0]
-    first = _first_candidate(sums, start, noise, settings, turn)
-    search, solution, spec, advantage = first.search, first.solution, first.solution.spec, np.nan
+    search, error = _first_candidate(sums, start, noise, settings, turn)
+    solution, spec, advantage = search.solution, search.solution.spec, np.nan
     slow = turn < _FREE_TURN and abs(spec.delay) < MOST_DELAY  # a larger delay can mimic any misfit
     if settings.maps == "auto" and slow:
         free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
         freed = search.sums.freed(spec.orders)
         solver = Solver.over(freed)
-        error = first.error if freed.windows == sums.windows else solver.left_out(spec)[:, 0]
-        advantage, clearly = _advantage(solver, free, error)
-        if clearly:
+        if freed.windows != sums.windows:
+            error = solver.left_out(spec)[:, 0]
+        advantage = _advantage(solver, free, error)
+        if not np.isnan(advantage):
             freed = search.sums.freed(model.orders)
             if search.sums.effects is None:
                 freed = freed.with_effects(search.found.columns)
@@ -304,19 +298,10 @@ def _select(
     return Selection(solution, search, advantage)
 
 
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """A variant with delay, orders and penalty, and its mean squared error (F,) on each fold left out, (Vs)^2."""
-
-    solution: FullSolution
-    error: FloatArray
-    search: EffectSearch
-
-
 def _first_candidate(
     sums: WindowSums, start: FullSolution, noise: CurrentNoise, settings: FitSettings, turn: float
-) -> _Candidate:
-    """Detect effects or a delay, then the harmonics, then the penalty."""
+) -> tuple[EffectSearch, FloatArray]:
+    """Detect effects or a delay, then the harmonics, then the penalty; return the errors (F,) left out, too, (Vs)^2."""
     allowed = effects_to_try(sums, settings) if start.spec.reciprocal else ()
     calibrated = settings.calibrate_delay and start.spec.reciprocal
     search = search_effects(sums, start, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
@@ -324,7 +309,7 @@ def _first_candidate(
         solver, solution = search.solver, search.solution
         if "current_latency" in solution.spec.effects:  # it moves the steps, too
             solution = solver.solve(replace(solution.spec, crossing=False))
-            solution = _with_early_steps(solver, solution, _LEAST_BY_CROSSING)
+            solution = _with_early_steps(solver, solution, LEAST_BESIDE)
         significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
         spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
         final = solver.solve(spec)
@@ -334,18 +319,19 @@ def _first_candidate(
             if wide is not final:
                 spec, error = solver.best_penalty(wide.spec)
                 final = solver.solve(spec)
-            return _Candidate(final, error, replace(search, solution=final))
+            return replace(search, solution=final), error
         search = with_effects_only(sums, replace(search, solution=solution), plausible)
 
 
-def _aligned(solver: Solver, spec: ModelSpec, settings: FitSettings, turn: float, noise: CurrentNoise) -> FullSolution:
+def _aligned(sums: WindowSums, solver: Solver, settings: FitSettings, turn: float, noise: CurrentNoise) -> FullSolution:
     """Solve with a provisional delay of half or whole samples, where there is one.
 
     Voltages that are a sample off miss the steps of the drop, which looks like a compensation, like hard dead time, and
     like a map that is too coarse.
     """
+    spec = _first_spec(sums, settings, turn)
     solution = _compensated(solver, spec)
-    if settings.calibrate_delay and abs(solver.delay(solution)[0]) > _LEAST_SHIFT:
+    if settings.calibrate_delay and abs(solver.delay(solution)[0]) > 0.25:  # nearer to half a sample than to none
         plain = solver.solve(spec)
         delay = estimate_delay(solver, plain, noise)
         if delay.physical and delay.significant(turn):
@@ -356,9 +342,11 @@ def _aligned(solver: Solver, spec: ModelSpec, settings: FitSettings, turn: float
 
 
 def _undelayed(solver: Solver, solution: FullSolution, settings: FitSettings) -> FullSolution:
-    """Solve without the provisional delay, which competes with the effects."""
+    """Solve without the provisional delay, which competes with the effects, and with early steps, if there are any."""
     delay = 0.0 if settings.calibrate_delay else settings.voltage_delay
-    return solution if solution.spec.delay == delay else solver.solve(replace(solution.spec, delay=delay))
+    if solution.spec.delay != delay:
+        solution = solver.solve(replace(solution.spec, delay=delay))
+    return _with_early_steps(solver, solution)
 
 
 def _compensated(solver: Solver, spec: ModelSpec) -> FullSolution:
@@ -428,8 +416,8 @@ def compensates(model: FullModel, solution: FullSolution) -> bool:
     return bool(lag > _LEAST_COMPENSATED * (lag + abs(drop)))
 
 
-def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> tuple[float, bool]:
-    """Return by which share a variant reduces the squared errors (F,) on data left out, and whether clearly.
+def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> float:
+    """Return by which share a variant reduces the squared errors (F,) on data left out; NaN unless it does clearly.
 
     Stops early when the first two folds show no gain.
     """
@@ -437,11 +425,10 @@ def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> tuple[floa
     first, rest = folds[:2], folds[2:]
     other = error.copy()
     other[first] = solver.left_out(spec, folds=first)[:, 0]
-    saved = 1.0 - float(other[first].sum() / error[first].sum())
     if np.all(other[first] > (1 - _SOME_GAIN) * error[first]):
-        return saved, False
+        return np.nan
     other[rest] = solver.left_out(spec, folds=rest)[:, 0]
-    return 1.0 - float(other[folds].sum() / error[folds].sum()), _clearly_better(solver, error, other)
+    return 1.0 - float(other[folds].sum() / error[folds].sum()) if _clearly_better(solver, error, other) else np.nan
 
 
 def _significant_orders(model: FullModel, solution: FullSolution, i_dq: FloatArray) -> tuple[int, ...]:
@@ -487,49 +474,42 @@ def distinct_orders(orders: Iterable[int], turn: float) -> tuple[int, ...]:
     return tuple(distinct)
 
 
-def explained_shares(model: FullModel, estimate: FloatArray, kept: Sequence[Windows], highest: int) -> FloatArray:
-    """Return which share of the squared residuals a harmonic of each order 1 to ``highest`` would explain.
+def explained_shares(model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> FloatArray:
+    """Return which share of the squared residuals a harmonic of each order 1 to ``HIGHEST_ORDER`` would explain.
 
     The complex amplitudes are linear in the current, ``A + B i_d + C i_q`` for ``e^{+j h theta}`` and
     ``e^{-j h theta}`` each.
 
     Parameters
     ----------
-    model : FullModel
     estimate : (size,) float
         See :class:`~drive_id.core.full.solver.FullSolution`.
-    kept : sequence of Windows
-    highest : int
-
-    Returns
-    -------
-    (highest,) float
     """
-    windows = Windows.joined(list(kept)).scattered(_MOST_WINDOWS)
+    windows = Windows.joined(list(kept)).scattered()
     left = model.residuals(windows, estimate)
     error = left[:, 0] + 1j * left[:, 1]
     currents = np.concatenate([np.ones((len(windows), 2, 1)), windows.i_dq / model.i_max], axis=2)
     turned = np.sqrt(windows.weights)[:, None, None] * np.exp(1j * windows.angle)[..., None] * currents  # (N, end, 3)
     step, phase = np.exp(1j * windows.angle), np.ones((len(windows), 2), np.complex128)
-    shares = np.empty(highest)
-    for order in range(highest):
+    shares = np.empty(HIGHEST_ORDER)
+    for order in range(HIGHEST_ORDER):
         phase = phase * step
         both = np.concatenate([turned * phase[..., None], turned * phase.conj()[..., None]], axis=2)
         regressors = both[:, 1] - both[:, 0]
         moment, gram = regressors.conj().T @ error, regressors.conj().T @ regressors
         found = np.linalg.lstsq(gram, moment, rcond=1e-10)[0]
         shares[order] = float((moment.conj() @ found).real)
-    return np.asarray(shares / max(float(np.sum(np.abs(error) ** 2)), np.finfo(np.float64).tiny))
+    return np.asarray(shares / max(float(np.sum(np.abs(error) ** 2)), TINY))
 
 
 def unexpected_orders(
-    model: FullModel, estimate: FloatArray, kept: Sequence[Windows], known: Sequence[int], highest: int
+    model: FullModel, estimate: FloatArray, kept: Sequence[Windows], known: Sequence[int]
 ) -> tuple[int, ...]:
-    """Return orders up to ``highest``, not in ``known``, that explain clearly more than noise does, strongest first.
+    """Return the orders, not in ``known``, that explain clearly more than noise does, strongest first.
 
     The other arguments are those of :func:`explained_shares`.
     """
-    shares = explained_shares(model, estimate, kept, highest)
+    shares = explained_shares(model, estimate, kept)
     least = max(_LEAST_SHARE, _ABOVE_OTHERS * float(np.median(shares)))
     strongest = 1 + np.argsort(shares)[::-1]
     return tuple(int(order) for order in strongest if shares[order - 1] > least and order not in known)

@@ -33,8 +33,14 @@ from drive_id.core.full.windows import SHIFTS, Windows
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.core.numerics.normal_equations import congruent, factorize, increased, penalized, times, unpacked
 from drive_id.core.numerics.threads import in_threads
-from drive_id.types import BoolArray, FloatArray, IntArray
+from drive_id.types import TINY, BoolArray, FloatArray, IntArray
 
+LEAST_TOLD = 1.3
+"""Rms of residuals over that of noise from which on something else than noise is in them."""
+LEAST_SAVED = 3e-4
+"""Rms, relative to that of the integrated voltages, that a variant of the model must save. For a reciprocal machine,
+the misfit of splines and inverter curves, which free maps absorb, is at most half of it. If free maps save no more,
+reciprocal maps cost at most 0.03 % of the flux."""
 _UNPREDICTABLE = 4.0
 """Error on a fold left out, relative to the median: a fold with a disturbance judges no variant."""
 _NOISE_STEP = 2.0
@@ -43,7 +49,6 @@ _THINNED = 2000
 """Windows from which the effect of current noise is computed: a mean over as many is within 2 %."""
 _ROUNDING = 1e-13
 """Sum of squared residuals, relative to that of the voltages, that is rounding."""
-_TINY = float(np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +120,8 @@ class Solver:
 
     Parameters
     ----------
-    folds : sequence of (summed.size, summed.size) float
-        Z'Z of each fold, or its lower triangle row by row; not copied.
+    folds : sequence of float arrays
+        Lower triangle of Z'Z (summed.size, summed.size) of each fold, row by row; not copied.
     counts : (F,) float
         Rows of each fold.
     effects : (F, summed.size, EFFECT_COLUMNS) float, optional
@@ -128,7 +133,7 @@ class Solver:
     def __init__(
         self,
         model: FullModel,
-        folds: Sequence[FloatArray] | FloatArray,
+        folds: Sequence[FloatArray],
         counts: FloatArray,
         effects: FloatArray | None = None,
         unit: float | None = None,
@@ -139,7 +144,8 @@ class Solver:
         total = folds[0].copy()
         for one in folds[1:]:
             total += one
-        self.total = with_products(self._full(total), None if effects is None else effects.sum(axis=0), model)
+        every = None if effects is None else effects.sum(axis=0)
+        self.total = with_products(unpacked(total, model.summed.size), every, model)
         self._unit = float(np.diag(self.total)[model.map].mean()) if unit is None else unit
         self._normals: dict[ModelSpec, _Normal] = {}
 
@@ -238,10 +244,10 @@ class Solver:
         """Return by which share unknowns in further columns would reduce the sum of squares, and their values (K,)."""
         left = self._left(solution, np.arange(further.start, further.stop))
         moment = self.total[further] @ solution.summed
-        scale = np.sqrt(np.maximum(np.diag(left), _TINY))
+        scale = np.sqrt(np.maximum(np.diag(left), TINY))
         found = np.linalg.lstsq(left / scale[:, None] / scale, moment / scale, rcond=1e-9)[0]
         floor = _ROUNDING * self.total[VOLTAGE, VOLTAGE]
-        return float((moment / scale) @ found / max(solution.sum_of_squares, floor, _TINY)), -found / scale
+        return float((moment / scale) @ found / max(solution.sum_of_squares, floor, TINY)), -found / scale
 
     def delay(self, solution: FullSolution) -> tuple[float, float, float]:
         """Estimate by how many samples the voltages act later than recorded.
@@ -283,10 +289,7 @@ class Solver:
     def _fold(self, number: int) -> FloatArray:
         """Return Z'Z of a fold with the effects."""
         effects = None if self._effects is None else self._effects[number]
-        return with_products(self._full(self._folds[number]), effects, self.model)
-
-    def _full(self, fold: FloatArray) -> FloatArray:
-        return unpacked(fold, self.model.summed.size) if fold.ndim == 1 else fold
+        return with_products(unpacked(self._folds[number], self.model.summed.size), effects, self.model)
 
     def _normal(self, spec: ModelSpec) -> _Normal:
         """Return what depends on neither penalty nor delay; that of the last variant is kept."""
@@ -337,6 +340,12 @@ def predictable(errors: FloatArray) -> BoolArray:
     return np.asarray(errors <= _UNPREDICTABLE * np.median(errors))
 
 
+def better_on_most_folds(errors: FloatArray, other: FloatArray) -> bool:
+    """Tell whether other errors (F,) are smaller on all predictable folds but one, which may hold a disturbance."""
+    folds = predictable(errors)
+    return bool(np.sum((other < errors)[folds]) >= folds.sum() - 1)
+
+
 @dataclass(frozen=True, eq=False)
 class CurrentNoise:
     """White noise of the measured currents and its effect on the regression.
@@ -364,12 +373,12 @@ class CurrentNoise:
     def turn(self) -> float:
         """Electrical angle per sample, rms, rad."""
         turn = self.windows.speed.mean(axis=1) * self.windows.period
-        return max(float(np.sqrt(np.mean(turn**2))), _TINY)
+        return max(float(np.sqrt(np.mean(turn**2))), TINY)
 
     def at_most(self, solver: Solver, solution: FullSolution) -> CurrentNoise:
         """Return the noise, reduced to what the residuals of a solution allow."""
         expected = self.explained(solver.model, solution)
-        return replace(self, variance=self.variance * min(1.0, solution.residual_rms**2 / max(expected, _TINY)))
+        return replace(self, variance=self.variance * min(1.0, solution.residual_rms**2 / max(expected, TINY)))
 
     def explained(self, model: FullModel, solution: FullSolution) -> float:
         """Return the mean squared residual that it causes, (Vs)^2."""
@@ -383,7 +392,7 @@ class CurrentNoise:
             windows.weights * self.variance * np.square(inductances).reshape(len(windows), -1).sum(axis=1)
         )
 
-    def squares(self, model: FullModel, estimate: FloatArray, windows: Windows) -> FloatArray:
+    def expected(self, model: FullModel, estimate: FloatArray, windows: Windows) -> FloatArray:
         """Return the weighted squared residuals (N,) that it causes, (Vs)^2.
 
         Besides those at both ends, it acts from sample to sample through the slope h' of the inverter's curve: with the
@@ -421,7 +430,7 @@ def noise_products(
     weights = windows.weights
     products = sum(one.T @ sparse.diags_array(np.repeat(weights, 2)) @ one for one in slopes)
     gamma = solution.estimate[model.map]
-    shown = max(float(gamma @ (products @ gamma)), _TINY)
+    shown = max(float(gamma @ (products @ gamma)), TINY)
     rows = float(solver.counts.sum())
     ends = products * min(rows * noise.variance / weights.sum(), max(squares, 0.0) / shown)
     before, after = model.map.start, model.size - model.map.stop

@@ -14,12 +14,11 @@ from scipy import linalg
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import EFFECT_COLUMNS, FullModel
-from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.windows import MEASURED, WindowCutter, Windows
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.core.numerics.threads import MOST_THREADS, in_threads, one_blas_thread
-from drive_id.types import BoolArray, FloatArray, Samples
+from drive_id.types import TINY, BoolArray, FloatArray, Samples
 
 FOLDS = 5
 """Parts of the data, each of which is left out once: the usual number; time grows with it."""
@@ -31,10 +30,9 @@ MOST_KEPT = 24_000
 _DUE = 16 * FOLDS
 """Segments collected before their products are formed: with more windows, neighbours are closer, and folds are formed
 in parallel threads."""
-_UNSEEN = 0.1
-"""Share of all windows' products below which those of the kept ones count as unseen."""
-_STEPS = 4
-"""Of the iterated regularization: what the kept windows hold in full is regressed to 0.1^4 = 1e-4."""
+_UNSEEN, _STEPS = 0.1, 4
+"""Share of all windows' products below which those of the kept ones count as unseen, and steps of the iterated
+regularization: what the kept windows hold in full is regressed to 0.1^4 = 1e-4."""
 _ROUNDING = 1e-10
 """Added to the unit diagonal: products are exact to 1e-13, and columns without data must not end the factorization."""
 
@@ -113,33 +111,20 @@ class WindowSums:
         other._kept, other._short = dict(self._kept), dict(self._short)  # noqa: SLF001
         return other
 
-    def with_orders(self, orders: tuple[int, ...]) -> WindowSums:
-        """Return the sums over the kept windows for a model with other harmonics."""
-        return self._over(replace(self.model, orders=orders), self._kept)
-
-    def resolved(self, cells: Resolution, orders: tuple[int, ...]) -> WindowSums:
-        """Return the sums over the kept windows for a model with other cells and these harmonics."""
-        return self._over(replace(self.model, orders=orders, cells=cells), self._kept)
+    def over(self, model: FullModel) -> WindowSums:
+        """Return the sums over the kept windows for another model."""
+        return self._over(model, self._kept)
 
     def freed(self, orders: tuple[int, ...]) -> WindowSums:
         """Return the sums over the kept windows for a model of free maps with these harmonics only, or these sums."""
         if not self.model.reciprocal:
             return self
-        return self._over(replace(self.model, orders=orders, reciprocal=False), self._kept)
+        return self.over(replace(self.model, orders=orders, reciprocal=False))
 
-    def moved(self, move: Callable[[Windows], Windows]) -> WindowSums:
-        """Return the sums over the kept windows at other currents, without effects."""
-        return self._over(self.model, {number: move(windows) for number, windows in self._kept.items()})
-
-    def between_crossings(self, weights: Callable[[Windows], FloatArray]) -> WindowSums:
-        """Return the sums over the kept short windows instead, with weights (N,) on their squared residuals."""
-        return self._over(
-            self.model,
-            {
-                number: replace(windows, short=np.zeros(len(windows), np.bool_), weight=weights(windows))
-                for number, windows in self._short.items()
-            },
-        )
+    def changed(self, change: Callable[[Windows], Windows], *, short: bool = False) -> WindowSums:
+        """Return the sums over the kept windows, or over their short ones, after a change, without effects."""
+        kept = self._short if short else self._kept
+        return self._over(self.model, {number: change(windows) for number, windows in kept.items()})
 
     def _over(self, model: FullModel, kept: Mapping[int, Windows]) -> WindowSums:
         other = WindowSums(model)
@@ -204,7 +189,7 @@ class WindowSums:
         total = unpacked(np.sum(some.triangles, axis=0), size)
         every = unpacked(np.sum(folds, axis=0), size) * some.counts.sum() / max(float(self._counts.sum()), 1.0)
         total[effects] = every[effects] = 0.0
-        scale = np.sqrt(np.maximum(np.diag(every), np.finfo(np.float64).tiny))
+        scale = np.sqrt(np.maximum(np.diag(every), TINY))
         shrunk = (total + _UNSEEN * every) / scale[:, None] / scale
         shrunk[np.diag_indices_from(shrunk)] += _ROUNDING
         factor, outer = linalg.cho_factor(shrunk, lower=True), products.sum(axis=0)

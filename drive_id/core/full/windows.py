@@ -39,6 +39,8 @@ SHIFTS = (-4, -3, -2, -1, 0, 1, 2, 3)
 MOST_DELAY = float(-SHIFTS[0])
 """Largest delay of the voltage in either direction, samples."""
 
+SEARCHED = 1500
+"""Windows or currents over which many candidates are compared: enough for a dozen unknowns of each."""
 LAGS = (1e-3, 4e-3, 16e-3)
 """Time constants of flux lags, s."""
 
@@ -195,14 +197,14 @@ class Windows:
         """Return every k-th of the windows, at most ``most``."""
         return self.part(slice(None, None, -(-len(self) // most)))
 
-    def scattered(self, most: int) -> Windows:
-        """Return at most ``most`` of the windows, by a lot that is always the same.
+    def scattered(self) -> Windows:
+        """Return at most ``SEARCHED`` of the windows, by a lot that is always the same.
 
         At even distances, all of one harmonic of the rotor position can look like another one.
         """
-        if len(self) <= most:
+        if len(self) <= SEARCHED:
             return self
-        return self.part(np.sort(np.random.default_rng(0).choice(len(self), most, replace=False)))
+        return self.part(np.sort(np.random.default_rng(0).choice(len(self), SEARCHED, replace=False)))
 
     @property
     def measured(self) -> ComplexArray:

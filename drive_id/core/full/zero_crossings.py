@@ -8,15 +8,15 @@ repeated over the short windows. Their weights depend on the clearance from zero
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from drive_id.core.full.model import FullModel
-from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver
+from drive_id.core.full.solver import LEAST_SAVED, LEAST_TOLD, CurrentNoise, FullSolution, Solver
 from drive_id.core.full.window_sums import WindowSums
-from drive_id.core.full.windows import Windows
-from drive_id.types import FloatArray, IntArray
+from drive_id.core.full.windows import SEARCHED, Windows
+from drive_id.types import TINY, FloatArray, IntArray
 
 _EDGES = np.array([0.0, 0.0025, 0.005, 0.01, 0.02, 0.04, 0.08])
 """Lower edges of the classes of clearance, relative to i_max."""
@@ -26,12 +26,9 @@ _FIRST = 1e-3
 """Weight of windows near crossings in the first fit: small, and enough where no others are."""
 _POWER = 4.0
 """Exponent of the excess: the misfit at a crossing is the same in each pass and does not average out like noise."""
-_LEAST_EXCESS = 1.3
-"""Rms over noise of windows with a crossing, from which on crossings disturb."""
 _ABOVE_CLEAR = 1.15
-"""The same relative to windows clear of crossings: a misfit of the map is in both."""
-_LEAST_VOLTAGE = 3e-4
-"""Least rms of the excess, relative to that of the integrated voltages."""
+"""Rms over noise of windows with a crossing, relative to windows clear of crossings, from which on crossings disturb: a
+misfit of the map is in both."""
 _ROUNDS = 2
 """Of weighting: bounds the time."""
 _USUAL = 0.95
@@ -39,31 +36,14 @@ _MEAN = (1.0 - (1.0 - _USUAL) * (1.0 - np.log(1.0 - _USUAL))) / _USUAL
 """Share of the windows that is used, and the mean of this share of smallest squares of unit complex noise."""
 _FEWEST = 32
 """Fewest windows of a class: their mean square is within a quarter."""
-_MOST = 1500
-"""Windows that tell whether crossings disturb."""
-
-
-@dataclass(frozen=True, eq=False)
-class BetweenCrossings:
-    """Sums over short windows, weighted by their clearance from zero crossings.
-
-    Parameters
-    ----------
-    solution : FullSolution
-        A fit to them with nearly the same weights.
-    excess : float
-        Rms of the residuals of windows with a crossing over that which noise in the currents explains.
-    """
-
-    sums: WindowSums
-    solution: FullSolution
-    excess: float
 
 
 def between_crossings(
     sums: WindowSums, solver: Solver, solution: FullSolution, noise: CurrentNoise
-) -> BetweenCrossings | None:
+) -> tuple[WindowSums, float] | None:
     """Return weighted sums over short windows if the drop near zero crossings biases the fit, else None.
+
+    With them comes the rms of the residuals of windows with a crossing over that which noise in the currents explains.
 
     Parameters
     ----------
@@ -78,18 +58,22 @@ def between_crossings(
         return None
     spec = replace(solution.spec, crossing=False)
     weights = np.where(np.arange(len(_EDGES)) >= _CLEAR, 1.0, _FIRST)
+
+    def weighted(windows: Windows) -> Windows:
+        return replace(windows, short=~windows.short, weight=weights[_classes(windows, model.i_max)])
+
     for _ in range(_ROUNDS):
-        chosen = sums.between_crossings(lambda windows: weights[_classes(windows, model.i_max)])  # noqa: B023
+        chosen = sums.changed(weighted, short=True)
         found = Solver.over(chosen).solve(spec)
         excess = _excess(model, found, short, noise)
         weights = np.maximum(excess / max(1.0, excess[_CLEAR:].min()), 1.0) ** -_POWER
-    chosen = sums.between_crossings(lambda windows: weights[_classes(windows, model.i_max)])
-    return BetweenCrossings(chosen, found, float(excess[0]))
+    chosen = sums.changed(weighted, short=True)
+    return chosen, float(excess[0])
 
 
 def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: CurrentNoise) -> bool:
     """Tell whether residuals of short windows with a crossing exceed noise and those of windows clear of crossings."""
-    some = short.thinned(_MOST)
+    some = short.thinned(SEARCHED)
     number = _classes(some, solver.model.i_max)
     squares, expected = _squares(solver.model, solution, some, noise)
     crossing, clear = number == 0, number >= _CLEAR
@@ -97,8 +81,8 @@ def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: Curr
         return False
     excess, usual = (_ratio(squares[own], expected[own]) for own in (crossing, clear))
     voltage = (excess - 1.0) * expected[crossing].mean()
-    least = max(_LEAST_EXCESS**2, _ABOVE_CLEAR**2 * usual)
-    return bool(excess > least and voltage > _LEAST_VOLTAGE**2 * solver.total_voltage)
+    least = max(LEAST_TOLD**2, _ABOVE_CLEAR**2 * usual)
+    return bool(excess > least and voltage > LEAST_SAVED**2 * solver.total_voltage)
 
 
 def _excess(model: FullModel, solution: FullSolution, windows: Windows, noise: CurrentNoise) -> FloatArray:
@@ -123,7 +107,7 @@ def _squares(
 
 def _ratio(squares: FloatArray, expected: FloatArray) -> float:
     """Return the squared residuals relative to noise, without the largest, which a short disturbance may cause."""
-    shares = np.sort(squares / np.maximum(expected, np.finfo(np.float64).tiny))
+    shares = np.sort(squares / np.maximum(expected, TINY))
     return float(shares[: max(1, int(_USUAL * len(shares)))].mean() / _MEAN)
 
 

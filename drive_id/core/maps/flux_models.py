@@ -79,6 +79,13 @@ def jacobian(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> FloatArra
     return np.stack([rows.dot(gamma) for rows in model.slope_rows(i_dq)], axis=-1)
 
 
+def positive_definite(inductances: FloatArray) -> BoolArray:
+    """Tell which matrices (..., 2, 2) have a positive definite symmetric part."""
+    l_dd, l_qq = inductances[..., 0, 0], inductances[..., 1, 1]
+    cross = 0.5 * (inductances[..., 0, 1] + inductances[..., 1, 0])
+    return np.asarray((l_dd > 0) & (l_dd * l_qq > cross**2))
+
+
 @dataclass(frozen=True)
 class TensorSpline(FluxModel):
     """Tensor-product cubic B-splines (the paper's model); gamma_d before gamma_q, each row-major in [i_d, i_q]."""

@@ -10,7 +10,7 @@ import numpy as np
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
-from drive_id.core.full.effect_report import effect_entries, misfit_warning, not_reciprocal_warning
+from drive_id.core.full.effect_report import OUTLYING, effect_entries, misfit_warning, not_reciprocal_warning
 from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
@@ -28,7 +28,7 @@ from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
 from drive_id.messages import Message
 from drive_id.origins import ORIGINS
-from drive_id.types import BoolArray, FloatArray, Samples
+from drive_id.types import TINY, BoolArray, FloatArray, Samples
 
 _FINE = 72  # splines per axis of the map for simulation and queries, at least
 _FINEST = 200  # the same, at most
@@ -37,8 +37,7 @@ _POINTS = 256
 """Points of the map per batch of standard errors."""
 _AVERAGED = 4
 """Samples over which the simulation averages the voltage that effects take."""
-_OUTLYING_BATCH = 20.0  # mean square residual of a batch of time over the median from which on its time is told
-_LEAST_OUTLYING = 0.01  # the same rms, over the voltages
+_LEAST_OUTLYING = 0.01  # rms residual of an outlying batch of time, over the voltages, from which on its time is told
 _LEAST_TURN = 0.75  # of a window's angle and duration: shorter ones do not rotate slowly
 _FEW_POINTS = 0.005  # share of the map's points that may be uncertain
 _LARGE_SIGMA = 0.01  # standard error over the largest flux of an uncertain point
@@ -71,7 +70,7 @@ class FullMethod:
         settings = evidence.settings
         locked = _locked(evidence)
         if locked:  # a map at one position: neither harmonics nor faults of resolver and current sensors show
-            information = information.with_orders(())
+            information = information.over(replace(information.model, orders=()))
             settings = replace(
                 settings, maps="reciprocal", search_orders=False, calibrate_angle=False, calibrate_currents=False
             )
@@ -118,7 +117,7 @@ class FullMethod:
                 condition=float(1.0 / np.min(np.diag(fit.solution.factor))),
                 residual_rms=fit.solution.residual_rms / evidence.sample_period,
             ),
-            unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, np.finfo(np.float64).tiny))),
+            unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, TINY))),
             outlying_time=_outlying_time(fit),
             warnings=warnings,
             sigma_inverter_voltage=deviation,
@@ -179,22 +178,20 @@ def _locked(evidence: Evidence) -> bool:
 def _outlying_time(fit: FullFit) -> float | None:
     """Return when samples stand out from all others, in time of data, s."""
     judged = fit.assessment
-    stands_out = judged.outlying > _OUTLYING_BATCH and judged.outlying_share > _LEAST_OUTLYING
+    stands_out = judged.outlying > OUTLYING and judged.outlying_share > _LEAST_OUTLYING
     return judged.outlying_time if stands_out else None
 
 
 def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
     if not fit.spec.magnet:
         return None
-    form = np.zeros(fit.model.size)
-    form[MAGNET] = 1.0
-    return float(fit.solution.estimate[MAGNET]), fit.sigma(form)
+    return float(fit.solution.estimate[MAGNET]), fit.sigma(MAGNET)
 
 
 def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
     settings = evidence.settings
     found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
-    found += effect_entries(fit, several_speeds=several_speeds(fit.assessment.speeds))
+    found += effect_entries(fit)
     if _locked(evidence):
         return found
     disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
@@ -342,7 +339,7 @@ def _statements(
     """Yield what determined the unknowns that the data alone leave open, where data are missing, what helps most."""
     locked = _locked(evidence)
     several = not locked and several_speeds(fit.assessment.speeds)
-    relative = fit.sigma_resistance / max(abs(fit.solution.resistance), np.finfo(np.float64).tiny)
+    relative = fit.sigma_resistance / max(abs(fit.solution.resistance), TINY)
     by = ".speeds" if several else ".reciprocity" if fit.spec.reciprocal and not locked else ""
     yield Message(f"separation{by}", share=relative)
     yield Message("linear_drop")

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
-from drive_id.core.maps.flux_models import FluxModel, TensorSpline, as_tensor_spline, extend
+from drive_id.core.maps.flux_models import (
+    FluxModel,
+    TensorSpline,
+    as_tensor_spline,
+    extend,
+    jacobian,
+    positive_definite,
+)
 from drive_id.core.methods.method import CURVE_POINTS, Estimate, Limits, SimulationModel
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.numerics.bspline import Axis
@@ -78,7 +84,7 @@ class PaperMethod:
             psi=psi,
             sigma=error,
             simulation=SimulationModel(spline, gamma, {}, (scale * tanh, solution.voltage_error * np.tanh(tanh))),
-            positive_definite=partial(_positive_definite, model, solution.gamma),
+            positive_definite=lambda i_dq: positive_definite(jacobian(model, solution.gamma, i_dq)),
             report=FitReport(
                 samples_used=information.rows // 2,
                 rows=information.rows,
@@ -153,13 +159,6 @@ def _error_modes(
     others = np.concatenate([spread.resistance[None], spread.voltage_error[None], curve])
     errors = np.linalg.norm(others, axis=1)
     return error_modes(spread.gamma.T, information.model.rows(grid[inside]), error, inside, (others, errors))
-
-
-def _positive_definite(model: FluxModel, gamma: FloatArray, i_dq: FloatArray) -> BoolArray:
-    """Tell (N,) where the symmetric part of the Jacobian D_f at currents (N, 2), A, is positive definite."""
-    by_d, by_q = (rows.dot(gamma) for rows in model.slope_rows(i_dq))
-    cross = 0.5 * (by_d[:, 1] + by_q[:, 0])
-    return np.asarray((by_d[:, 0] > 0) & (by_d[:, 0] * by_q[:, 1] > cross**2))
 
 
 def _outlying_time(blocks: FloatArray, duration: float, solution: Solution) -> float | None:

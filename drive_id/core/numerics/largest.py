@@ -10,7 +10,9 @@ from drive_id.core.numerics.compiled import compiled
 from drive_id.types import FloatArray
 
 KEPT = 1 << 17
-"""Values kept: the 99.9 % quantile is exact for up to 1000 times as many."""
+"""Values kept: the usual quantile is exact for up to 1000 times as many."""
+USUAL_QUANTILE = 0.999
+"""Share of the samples below what is usually the largest: single disturbed samples lie above."""
 
 
 class Largest:
@@ -48,7 +50,7 @@ class Largest:
         self._settle()
         return self._rows
 
-    def quantile(self, share: float) -> float:
+    def quantile(self, share: float = USUAL_QUANTILE) -> float:
         """Return the quantile as numpy interpolates it; the least value that is kept where it lies below."""
         return top_quantile(self.rows()[:, 0], self.count, share)
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
 from drive_id.core import frames
 from drive_id.core.experiment.trajectories import Trajectory
@@ -19,6 +20,7 @@ from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.solver import FullSolution, Solver
 from drive_id.core.full.windows import WINDOW_ANGLE, WindowCutter, Windows
 from drive_id.core.maps.coenergy import bent_edges
+from drive_id.core.numerics.normal_equations import triangle_of
 from drive_id.core.planning.settings import RoughMachine
 from drive_id.types import FloatArray, Samples
 
@@ -104,7 +106,8 @@ def fisher_information(model: FullModel, samples: Samples, most_windows: int) ->
     cutter = WindowCutter(model.shapes)
     windows = Windows.joined([*cutter.cut(samples), *cutter.finish()])
     chosen = windows.thinned(most_windows)
-    rows = model.design(chosen).reshape(-1, model.size)
+    each = sparse.eye_array(model.size, format="csr")
+    rows = model.design_times(chosen, each, model.orders).reshape(-1, model.size)
     information = FisherInformation(rows.T @ rows, float(len(rows)), float(windows.duration.mean()))
     return information.lasting(len(windows) / len(chosen))
 
@@ -117,7 +120,7 @@ def predict(
     ``current_noise`` is the standard deviation of each phase current's noise as a fraction of i_max.
     """
     total = np.sum([part.normal for part in parts], axis=0)
-    solver = Solver(model, total[None], np.array([sum(part.rows for part in parts)]))
+    solver = Solver(model, [triangle_of(total)], np.array([sum(part.rows for part in parts)]))
     variances = [_residual_variance(machine, current_noise, part.window) for part in parts]
     noise = np.sum([variance * part.normal for variance, part in zip(variances, parts, strict=True)], axis=0)
     noise += np.average(variances, weights=[part.rows for part in parts]) * roughness(model, total, PENALTY)

@@ -27,7 +27,7 @@ def test_the_figures_are_those_of_the_samples(gappy, ends):
     overviewing = Overviewing()
     for start, stop in zip([0, *ends], [*ends, len(gappy)], strict=True):
         overviewing.add(Piece(*cut(gappy, start, stop)))
-    figures = overviewing.overview(200.0).figures()
+    figures = overviewing.overview(200.0).figures
     i_dq = frames.to_dq(gappy.i_abc, gappy.angle)
     assert (figures["samples"], figures["runs"]) == (len(gappy), 3)
     assert figures["time_lost"] == pytest.approx(0.003 + 0.0201, abs=1e-12)

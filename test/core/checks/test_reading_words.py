@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drive_id.core import frames
-from drive_id.core.checks.readings import LikelyReading
+from drive_id.core.checks.balance import Reading
 from drive_id.messages import _percent
 
 
@@ -14,7 +14,7 @@ from drive_id.messages import _percent
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_the_order_and_sign_of_the_voltages_are_those_of_the_reading(turned, mirrored):
     """A reading turns the voltages by sixths of a turn, after it has mirrored them."""
-    reading = LikelyReading(1, 0.0, certain_offset=True, unexplained=0.01, turned=turned, mirrored=mirrored)
+    reading = Reading(turned=turned, mirrored=mirrored)
     u_abc = np.random.default_rng(3).normal(size=(5, 3))
     u_s = frames.space_vector(u_abc)
     read = frames.space_vector(reading.voltage_sign * u_abc[:, list(reading.voltage_order)])

@@ -37,7 +37,7 @@ def test_the_current_between_samples_is_counted(fast, monkeypatch):
     assert error < 2e-4
     assert found.resistance == pytest.approx(fast.truth.resistance, rel=5e-3)
     assert not {c.name for c in found.calibrations if c.applied} & {"angle_latency", "current_latency", "flux_lag"}
-    monkeypatch.setattr(between_samples, "_LEAST_BOW", np.inf)
+    monkeypatch.setattr(between_samples, "_NEGLIGIBLE", np.inf)
     without, larger = fitted(fast)
     assert larger > 2 * error or abs(without.resistance / fast.truth.resistance - 1) > 2e-2
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from full_design import design
 from synthetic import saturating_flux
 
 from drive_id.core import frames
@@ -212,7 +213,7 @@ def columns(estimate):
 
 
 def residual(windows, estimate):
-    left = MODEL.design(windows) @ estimate
+    left = design(MODEL, windows) @ estimate
     return left[:, 0] + 1j * left[:, 1]
 
 
@@ -294,7 +295,7 @@ def test_at_moved_currents_the_columns_are_the_slopes_of_the_nonlinear_balance(e
     assert np.abs(moved.moved).max() > 0.1 * RADIUS
     there = with_columns(moved, known)
     np.testing.assert_allclose(residual(there, known), balance(known), atol=1e-12)
-    designs = MODEL.design(there), MODEL.design(with_columns(windows, known))
+    designs = design(MODEL, there), design(MODEL, with_columns(windows, known))
     middle = MODEL.map.start + MODEL.flux.parameters // 4
     for k in (*range(middle, middle + 5), iron_loss):
         step = np.zeros(MODEL.size)

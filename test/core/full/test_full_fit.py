@@ -12,7 +12,7 @@ from synthetic import saturating_flux
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.calibration import Calibration, corrected, rotated
-from drive_id.core.full.fit import fit_full
+from drive_id.core.full.fit import fit_full, sigma
 from drive_id.core.full.model import ModelSpec, delay_shares
 from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
 from drive_id.core.full.windows import SHIFTS
@@ -148,8 +148,8 @@ def test_what_is_uncertain_of_a_delay_is_uncertain_of_the_map(samples):
     assert fit.spec.delay == pytest.approx(1.7, abs=0.1)
     form = np.zeros(fit.model.size)
     form[fit.model.map] = fit.model.flux.rows(np.zeros((1, 2))).sparse(fit.model.flux.parameters).toarray()[1]
-    turned = fit.selection.search.found.sigma_delay * np.abs(fit.assessment.speeds).mean() * samples.sample_period
-    assert fit.sigma(form) > 0.9 * turned * 0.08  # psi_q by psi_d = 80 mWb
+    turned = fit.selection.search.found.delay.sigma * np.abs(fit.assessment.speeds).mean() * samples.sample_period
+    assert sigma(form @ fit.assessment.changes) > 0.9 * turned * 0.08  # psi_q by psi_d = 80 mWb
 
 
 @pytest.mark.parametrize(("late", "word"), [(1, "later"), (-1, "earlier")])

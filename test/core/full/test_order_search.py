@@ -38,28 +38,30 @@ def with_harmonic(model, orders, amplitude):
     return residual
 
 
-def test_a_share_is_that_of_the_residual(windows):
+def test_a_share_is_that_of_the_residual(windows, monkeypatch):
     """A residual of one harmonic alone is explained by that one, and by no other."""
+    monkeypatch.setattr(selection, "HIGHEST_ORDER", 24)
     residual = with_harmonic(windows.model, [12], 0.01)
-    shares = explained_shares(windows.model, residual, windows.kept(), 24)
+    shares = explained_shares(windows.model, residual, windows.kept())
     assert shares[11] == pytest.approx(1.0, abs=1e-9)
     assert np.delete(shares, 11).max() < 0.1
-    assert unexpected_orders(windows.model, residual, windows.kept(), (), 24) == (12,)
-    assert unexpected_orders(windows.model, residual, windows.kept(), (6, 12), 24) == ()
+    assert unexpected_orders(windows.model, residual, windows.kept(), ()) == (12,)
+    assert unexpected_orders(windows.model, residual, windows.kept(), (6, 12)) == ()
 
 
 def test_no_order_shows_as_another_because_windows_are_left_out(windows, monkeypatch):
     """At even distances, some numbers of windows show most of the sixth harmonic as another one."""
     residual = with_harmonic(windows.model, [6], 0.01)
     for most in range(500, 1500, 100):
-        monkeypatch.setattr(selection, "_MOST_WINDOWS", most)
-        assert np.delete(explained_shares(windows.model, residual, windows.kept(), 48), 5).max() < 0.15
+        monkeypatch.setattr("drive_id.core.full.windows.SEARCHED", most)
+        assert np.delete(explained_shares(windows.model, residual, windows.kept()), 5).max() < 0.15
 
 
-def test_the_strongest_comes_first(windows):
+def test_the_strongest_comes_first(windows, monkeypatch):
+    monkeypatch.setattr(selection, "HIGHEST_ORDER", 30)
     model = windows.model
     residual = with_harmonic(model, [6], 0.01) + with_harmonic(model, [18], 0.02)
-    assert unexpected_orders(model, residual, windows.kept(), (), 30) == (18, 6)
+    assert unexpected_orders(model, residual, windows.kept(), ()) == (18, 6)
 
 
 def test_an_order_that_nobody_asked_for_is_found_and_fitted(simulation):
@@ -77,7 +79,7 @@ def test_an_order_that_nobody_asked_for_is_found_and_fitted(simulation):
 
 def test_windows_serve_another_model(windows, simulation):
     """While all windows are kept, asking them for other orders equals accumulating for these from the start."""
-    other = windows.with_orders((6, 30))
+    other = windows.over(replace(windows.model, orders=(6, 30)))
     direct = gather([simulation.samples], FitSettings("full", harmonic_orders=(6, 30))).windows.finished()
     assert other.windows == direct.windows
     np.testing.assert_array_equal(other.counts, direct.counts)

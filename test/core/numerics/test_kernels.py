@@ -106,16 +106,11 @@ def test_products_and_ends_of_windows():
     np.testing.assert_array_equal(tables[0][0], tables[1][0])
     np.testing.assert_allclose(tables[0][1], tables[1][1], rtol=1e-15)
     turn, factor = rng.standard_normal((50, 2)), rng.standard_normal((2, 50))
-    before = rng.standard_normal((50, 2, 150))
-    rows = [before.copy(), before.copy()]
-    for add, out in zip((full_model.add_end, oracles.add_end), rows, strict=True):
-        add(*tables[0], turn, np.array([0, 72]), factor, out)
-    np.testing.assert_allclose(rows[0], rows[1], rtol=1e-13, atol=1e-14)
     t = sparse.random_array((150, 40), density=0.05, format="csr", rng=rng)
-    forms = [np.zeros((50, 2, 40)) for _ in range(2)]
-    for add, out in zip((full_model.add_end_through, oracles.add_end_through), forms, strict=True):
+    before = rng.standard_normal((50, 2, 40))
+    forms = [before.copy(), before.copy()]
+    for add, out in zip((full_model.add_end, oracles.add_end), forms, strict=True):
         add(*tables[0], turn, np.array([0, 72]), factor, t.indptr, t.indices, t.data, out)
-    np.testing.assert_allclose(forms[0], (rows[0] - before) @ t.toarray(), rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(forms[0], forms[1], rtol=1e-12, atol=1e-12)
 
 

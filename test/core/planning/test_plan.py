@@ -15,6 +15,7 @@ from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.model import RESISTANCE, ModelSpec
 from drive_id.core.full.solver import Solver
+from drive_id.core.numerics.normal_equations import triangle_of
 from drive_id.core.planning import planner as plan_module
 from drive_id.core.planning import prediction as prediction_module
 from drive_id.core.planning.planner import (
@@ -59,7 +60,7 @@ def test_synthesized_samples_obey_the_voltage_balance():
     samples = synthesize(MACHINE, trajectory, -600.0, 1.0, 1e-4)
     model = rough_model(20.0, 8)
     information = fisher_information(model, samples, 10_000)
-    solution = Solver(model, information.normal[None], np.array([information.rows])).solve(
+    solution = Solver(model, [triangle_of(information.normal)], np.array([information.rows])).solve(
         ModelSpec(True, model.orders, penalty=1e-9)
     )
     assert solution.estimate[RESISTANCE] == pytest.approx(0.35, rel=0.02)
@@ -186,7 +187,7 @@ def test_predictions_come_true(monkeypatch):
     for _ in range(30):
         noisy = replace(clean, i_abc=clean.i_abc + noise * 20.0 * rng.standard_normal(clean.i_abc.shape))
         information = fisher_information(wide, noisy, 10_000)
-        solver = Solver(wide, information.normal[None], np.array([information.rows]))
+        solver = Solver(wide, [triangle_of(information.normal)], np.array([information.rows]))
         solution = solver.solve(ModelSpec(True, wide.orders, penalty=prediction_module.PENALTY))
         flux = wide.flux.rows(points).dot(solution.estimate[wide.map])
         found.append([solution.estimate[RESISTANCE] / machine.resistance, *(flux / machine.largest_flux).ravel()])

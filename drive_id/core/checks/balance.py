@@ -24,9 +24,14 @@ from drive_id.types import TINY, FloatArray, Samples
 
 DELAYS = tuple(np.arange(-2.0, 2.01, 0.25).tolist())
 """Delays of the voltages that are tried, samples."""
-_RESISTANCE, _DROP, _INDUCTANCE, _SATURATION, _SIZE = 0, 1, 4, 5, 16
-_MAGNET, _SALIENCY = slice(2, 4), slice(6, 8)
-"""Columns of the unknowns of the rough model, and their number."""
+# columns of the unknowns of the rough model, and their number
+_RESISTANCE = 0
+_DROP = 1
+_MAGNET = slice(2, 4)
+_INDUCTANCE = 4
+_SATURATION = 5
+_SALIENCY = slice(6, 8)
+_SIZE = 16
 _WINDOW_TURN = np.pi / 3  # rad: as in method full
 _LONGEST_WINDOW = 512  # samples: bounds the drift of an offset at low speed
 _NODES = 750  # most windows of a run in a fit: 16 unknowns need no more

@@ -139,7 +139,7 @@ def test_axes_and_gaps(run, drive, tmp_path):
         (("--format", "csv", "--grid", 0), "choose 4 to 2001 points"),
         (("--format", "csv", "--axis-d", "1,2,3,4"), "--axis-d does not contain 0"),
         (("--format", "csv", "--axis-d", "-1:1:2", "--axis-q", "-1:1:2", "--grid", 5), "drop one pair"),
-        (("--format", "vesc", "--bandwidth", -1, "--output", "out.xml"), "bandwidth is -1.0 rad/s"),
+        (("--format", "vesc", "--bandwidth", -1, "--output", "out.xml"), "bandwidth is -1.0 Hz"),
         (("--format", "simscape"), "out.csv ends in .csv, but --format simscape writes .mat files: name it out.mat."),
         (("--format", "plecs", "--output", "out"), "out has no suffix"),
     ],

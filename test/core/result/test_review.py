@@ -57,7 +57,7 @@ def test_a_large_offset_is_proposed_once(good):
 
 def test_an_angle_near_half_a_turn_off_makes_the_magnet_negative(good, monkeypatch):
     """Where the checks say nothing."""
-    monkeypatch.setattr(Prescan, "findings", lambda _: ())
+    monkeypatch.setattr(Prescan, "findings", lambda *_: ())
     assert "magnet's flux is negative" in told(replace(good, angle=good.angle + np.pi))
     assert "resistance is negative" in told(replace(good, i_abc=-good.i_abc))
 
@@ -81,7 +81,7 @@ def test_a_map_that_explains_too_little_is_refused_with_the_likeliest_cause(good
         identify([samples], FitSettings(method))
     cause = Message.told("The cable is loose: fix it.", "x")
     for found, said in (((), "so there is no valid map: check"), ((cause,), "most likely, the cable is loose: fix it")):
-        monkeypatch.setattr(Prescan, "findings", lambda _, found=found: found)
+        monkeypatch.setattr(Prescan, "findings", lambda *_, found=found: found)
         with pytest.raises(UnexplainedError, match=said):
             identify([samples], FitSettings(method))
 
@@ -187,7 +187,7 @@ def test_a_rest_that_comes_in_pieces_is_the_same_rest(good):
 
 def test_what_no_machine_can_have_is_refused_by_full_and_told_by_joint(good, monkeypatch):
     """Where the checks say nothing: joint's standard errors are too wide to condemn a result."""
-    monkeypatch.setattr(Prescan, "findings", lambda _: ())
+    monkeypatch.setattr(Prescan, "findings", lambda *_: ())
     reversed_currents = replace(good, i_abc=-good.i_abc)
     with pytest.raises(UnexplainedError, match=r"The resistance comes out negative \(\N{MINUS SIGN}.*second speed"):
         identify([reversed_currents], FitSettings("full"))

@@ -42,24 +42,12 @@ _RIDGE = 1e-9  # of the unit diagonal: keeps columns without data solvable, far 
 
 @dataclass(frozen=True)
 class Reading:
-    """One way to read the signals.
+    """One way to read the signals."""
 
-    Parameters
-    ----------
-    ratio : (int, int)
-        Factor on the angle as a fraction; negative: it counts the other way.
-    turned : float
-        Rotation of the voltages against the currents, in steps of 60 degrees.
-    mirrored : bool
-        Two phases of the voltages swapped, before they are turned.
-    reversed_current, reversed_voltage : int
-        Phase whose sign is changed; -1: none.
-    """
-
-    ratio: tuple[int, int] = (1, 1)
-    turned: float = 0
-    mirrored: bool = False
-    reversed_current: int = -1
+    ratio: tuple[int, int] = (1, 1)  # factor on the angle as a fraction; negative: it counts the other way
+    turned: float = 0  # rotation of the voltages against the currents, in steps of 60 degrees
+    mirrored: bool = False  # two phases of the voltages swapped, before they are turned
+    reversed_current: int = -1  # phase whose sign is changed, below of the voltages; -1: none
     reversed_voltage: int = -1
 
     @property
@@ -82,65 +70,31 @@ DECLARED = Reading()
 
 @dataclass(frozen=True, eq=False)
 class RoughFit:
-    """The rough model under one reading.
-
-    Parameters
-    ----------
-    unexplained : float
-        Root mean square of the residual over that of the integrated voltage.
-    delay : float
-        Of the voltages against the log, samples.
-    without_delay : float
-        ``unexplained`` at delay 0.
-    resistance, inductance : float
-        ohm, and H, the mean of both axes.
-    magnet, saliency : complex
-        Wb, and (L_d - L_q)/2, H: rotated by once and twice the angle offset.
-    estimate : (16,) float
-        All unknowns, of scaled currents.
-    """
+    """The rough model under one reading."""
 
     reading: Reading
-    unexplained: float
-    delay: float
-    without_delay: float
-    resistance: float
+    unexplained: float  # root mean square of the residual over that of the integrated voltage
+    delay: float  # of the voltages against the log, samples
+    without_delay: float  # ``unexplained`` at delay 0
+    resistance: float  # ohm, and, below, H, the mean of both axes
     inductance: float
-    magnet: complex
+    magnet: complex  # Wb, and, below, (L_d - L_q)/2, H: rotated by once and twice the angle offset
     saliency: complex
-    estimate: FloatArray
+    estimate: FloatArray  # (16,), all unknowns, of scaled currents
 
 
 @dataclass(frozen=True, eq=False)
 class Excerpt:
-    """One gap-free run, integrated.
-
-    Parameters
-    ----------
-    i_max : float
-        Current by which currents are scaled, A.
-    angle : (N,) float
-        Unwrapped, rad.
-    i_s : (N,) complex
-        Dimensionless.
-    lossy : (2, N) complex
-        Integrals of the current, and of its smoothed signs, s.
-    volts : (N + 1,) complex
-        Integral of the voltage, Vs.
-    window : int
-        Samples in which the voltage turns by about 60 degrees.
-    nodes : int
-        Most windows.
-    """
+    """One gap-free run, integrated."""
 
     run: Samples
-    i_max: float
-    angle: FloatArray
-    i_s: ComplexArray
-    lossy: ComplexArray
-    volts: ComplexArray
-    window: int
-    nodes: int = _NODES
+    i_max: float  # current by which currents are scaled, A
+    angle: FloatArray  # (N,), unwrapped, rad
+    i_s: ComplexArray  # (N,), dimensionless
+    lossy: ComplexArray  # (2, N), integrals of the current, and of its smoothed signs, s
+    volts: ComplexArray  # (N + 1,), integral of the voltage, Vs
+    window: int  # samples in which the voltage turns by about 60 degrees
+    nodes: int = _NODES  # most windows
 
     def coarse(self) -> Excerpt:
         """Return the excerpt with fewer windows, for the search for the likeliest of 130 readings."""

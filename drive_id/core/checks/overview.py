@@ -21,26 +21,15 @@ _REACH = 4.0  # part of i_max within which a sample covers a node
 
 @dataclass(frozen=True, eq=False)
 class Overview:
-    """Figures and thinned curves of a recording.
+    """Figures and thinned curves of a recording."""
 
-    Parameters
-    ----------
-    figures : dict of str to float
-        SI units; speeds are electrical, the turn per sample is a root mean square, the time lost that between gap-free
-        runs, and the coverage the share of the disc of radius i_max with samples, 0 to 1.
-    time : (P,) float
-        Of the curves, s after the first sample.
-    i_dq, reference_dq : (P, 2) float
-        A; the references are NaN where there are none.
-    speed : (P,) float
-        rad/s.
-    """
-
+    # SI units; speeds are electrical, the turn per sample is a root mean square, the time lost that between gap-free
+    # runs, and the coverage the share of the disc of radius i_max with samples, 0 to 1
     figures: dict[str, float]
-    time: FloatArray
-    i_dq: FloatArray
+    time: FloatArray  # (P,), of the curves, s after the first sample
+    i_dq: FloatArray  # (P, 2), A; the references are NaN where there are none
     reference_dq: FloatArray
-    speed: FloatArray
+    speed: FloatArray  # (P,), rad/s
 
     def findings(self) -> Iterator[Message]:
         """Yield gaps, and a disc that is hardly filled."""

@@ -87,21 +87,11 @@ def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]
 
 @dataclass(frozen=True)
 class LikelyReading(Reading):
-    """What explains the voltages best, tried on signals of unknown meaning.
+    """What explains the voltages best, tried on signals of unknown meaning."""
 
-    Parameters
-    ----------
-    angle_offset : float
-        To add to the angle then, rad.
-    certain_offset : bool
-        Whether a magnet shows it; without one it is known up to multiples of 90 degrees.
-    unexplained : float
-        Share of the voltage that a rough model leaves unexplained, 0 to 1.
-    """
-
-    angle_offset: float = 0.0
-    certain_offset: bool = False
-    unexplained: float = 0.0
+    angle_offset: float = 0.0  # to add to the angle then, rad
+    certain_offset: bool = False  # whether a magnet shows it; without one it is known up to multiples of 90 degrees
+    unexplained: float = 0.0  # share of the voltage that a rough model leaves unexplained, 0 to 1
 
 
 def likely_reading(runs: Sequence[Samples], i_max: float, ratios: Sequence[int] | None = None) -> LikelyReading | None:

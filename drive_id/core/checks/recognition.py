@@ -26,24 +26,13 @@ _FULL_COUNTS = (*(4 * lines for lines in _LINES), *(2**n for n in range(8, 25)))
 
 @dataclass(frozen=True, eq=False)
 class AngleLike:
-    """A column that moves like the angle of a rotor.
+    """A column that moves like the angle of a rotor."""
 
-    Parameters
-    ----------
-    unit : str
-        ``rad``, ``deg``, ``rev`` or ``counts``.
-    turn : float
-        By how much it changes per revolution (of whatever it counts); 0 if it never starts again and has no known unit.
-    wraps : bool
-        Whether it starts again.
-    certain : bool
-        Whether the unit follows from the values.
-    """
-
-    unit: str
+    unit: str  # ``rad``, ``deg``, ``rev`` or ``counts``
+    # by how much it changes per revolution (of whatever it counts); 0 if it never starts again and has no known unit
     turn: float
-    wraps: bool
-    certain: bool
+    wraps: bool  # whether it starts again
+    certain: bool  # whether the unit follows from the values
 
     def unwrapped(self, x: FloatArray) -> FloatArray:
         """Return the column (N,) without the steps where it starts again."""

@@ -38,27 +38,15 @@ _FEWEST_MIRRORED = 16
 
 @dataclass(frozen=True)
 class Calibration:
-    """One estimated sensor fault.
-
-    Parameters
-    ----------
-    value, sigma : float
-        Estimate and its standard error.
-    applied : bool
-        Whether the signals are corrected by it.
-    message : Message
-        The finding, and the reason if it was not applied.
-    doubtful : bool
-        The data contradict this fault, or it is too large to be corrected.
-    """
+    """One estimated sensor fault."""
 
     name: str
-    value: float
+    value: float  # estimate, and below its standard error
     sigma: float
     unit: str
-    applied: bool
-    message: Message
-    doubtful: bool = False
+    applied: bool  # whether the signals are corrected by it
+    message: Message  # the finding, and the reason if it was not applied
+    doubtful: bool = False  # the data contradict this fault, or it is too large to be corrected
 
 
 def rotated(i_dq: FloatArray, angle: float) -> FloatArray:

@@ -38,15 +38,9 @@ squared residuals that a jump must explain: without one, it was below 0.002."""
 
 @dataclass(frozen=True)
 class Delay:
-    """Estimated delay of the voltages.
+    """Estimated delay of the voltages."""
 
-    Parameters
-    ----------
-    value, sigma : float
-        Samples; NaN when not estimated.
-    """
-
-    value: float = np.nan
+    value: float = np.nan  # samples; NaN when not estimated
     sigma: float = np.nan
 
     def significant(self, turn: float) -> bool:
@@ -91,21 +85,11 @@ class Delay:
 
 @dataclass(frozen=True)
 class DelayJump:
-    """Where the delay of the voltages changes within a recording.
+    """Where the delay of the voltages changes within a recording."""
 
-    Parameters
-    ----------
-    recording : int
-        Number, from 0.
-    time : float
-        Since the start of that recording, gaps not counted, s.
-    later : bool
-        Whether the voltages act later from then on.
-    """
-
-    recording: int
-    time: float
-    later: bool
+    recording: int  # number, from 0
+    time: float  # since the start of that recording, gaps not counted, s
+    later: bool  # whether the voltages act later from then on
 
 
 def delay_jump(windows: Windows, residuals: FloatArray) -> DelayJump | None:

@@ -69,53 +69,27 @@ _FAMILIES = {"hysteresis": "iron_loss", "coercivity": "iron_loss", "flux_lag": "
 
 @dataclass(frozen=True)
 class Taken:
-    """An effect that was taken into the model.
+    """An effect that was taken into the model."""
 
-    Parameters
-    ----------
-    name : str
-        In ``EFFECTS``, or ``DELAY``.
-    rivals : tuple of str
-        Effects that would have explained nearly as much.
-    """
-
-    name: str
-    rivals: tuple[str, ...]
+    name: str  # in ``EFFECTS``, or ``DELAY``
+    rivals: tuple[str, ...]  # effects that would have explained nearly as much
 
 
 @dataclass(frozen=True, eq=False)
 class FoundEffects:
-    """What a search has found.
+    """What a search has found."""
 
-    Parameters
-    ----------
-    columns : EffectColumns
-        Linearized about the estimate.
-    taken : tuple of Taken
-        In the order in which they were found.
-    delay : Delay
-        Of the voltages, if it was requested.
-    """
-
-    columns: EffectColumns
-    taken: tuple[Taken, ...] = ()
-    delay: Delay = field(default_factory=Delay)
+    columns: EffectColumns  # linearized about the estimate
+    taken: tuple[Taken, ...] = ()  # in the order in which they were found
+    delay: Delay = field(default_factory=Delay)  # of the voltages, if it was requested
 
 
 @dataclass(frozen=True, eq=False)
 class EffectSearch:
-    """The solution with the selected effects.
+    """The solution with the selected effects."""
 
-    Parameters
-    ----------
-    sums : WindowSums
-        With the columns of all effects if any effect was selected; otherwise without, to save memory.
-    solver : Solver
-        Of sums with the columns of all effects.
-    """
-
-    sums: WindowSums
-    solver: Solver
+    sums: WindowSums  # with the columns of all effects if any effect was selected; otherwise without, to save memory
+    solver: Solver  # of sums with the columns of all effects
     solution: FullSolution
     found: FoundEffects
 

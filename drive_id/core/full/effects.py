@@ -99,28 +99,14 @@ def between(x: ComplexArray) -> ComplexArray:
 
 @dataclass(frozen=True, eq=False)
 class EffectColumns:
-    """The columns of all effects, linearized about an estimate.
-
-    Parameters
-    ----------
-    estimate : (size,) float
-        See :class:`~drive_id.core.full.solver.FullSolution`.
-    heat : float
-        Largest int i^2 dt within a recording, A^2 s, to which heating is relative.
-    link : float
-        Mean DC-link voltage, V; NaN where it is not known.
-    pole_pairs : int or None
-        For the mechanical angle.
-    ripple : float
-        Frequency of a ripple of the DC link, Hz; 0 without.
-    """
+    """The columns of all effects, linearized about an estimate."""
 
     model: FullModel
-    estimate: FloatArray
-    heat: float
-    link: float
-    pole_pairs: int | None
-    ripple: float = 0.0
+    estimate: FloatArray  # (size,), see :class:`~drive_id.core.full.solver.FullSolution`
+    heat: float  # largest int i^2 dt within a recording, A^2 s, to which heating is relative
+    link: float  # mean DC-link voltage, V; NaN where it is not known
+    pole_pairs: int | None  # for the mechanical angle
+    ripple: float = 0.0  # frequency of a ripple of the DC link, Hz; 0 without
 
     def __call__(self, windows: Windows) -> ComplexArray:
         """Return the columns (N, EFFECT_COLUMNS) of N windows."""

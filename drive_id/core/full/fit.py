@@ -54,62 +54,35 @@ _Batch = tuple[FloatArray, float, float, float]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Assessment:
-    """What the windows tell of a fit besides the estimate: the influence of each batch of time, and what is left.
+    """What the windows tell of a fit besides the estimate: the influence of each batch of time, and what is left."""
 
-    Parameters
-    ----------
-    changes : (size, B) float
-        First-order change of the estimate when each batch's residuals are left out; then the bias by the penalties, the
-        bound on the bias by current noise, what is uncertain of the current between samples and of a delay, the changes
-        by the lack of fit, and last the change with the shapes of the inverter's curve. ``changes @ changes.T`` is the
-        covariance of the estimate, consistent for heteroscedastic and autocorrelated residuals, biases included.
-    misfit : LackOfFit
-        Residuals beyond noise.
-    speeds : (N,) float
-        Electrical speeds of windows, rad/s.
-    drop_slope : float
-        Mean slope of the inverter's curve over the measured currents, ohm.
-    turn, duration : float
-        Median angle, rad, and duration, s, of a window.
-    outlying : float
-        Largest mean square residual of a batch of time over the median of all batches; those at which current noise
-        causes larger ones, as at large inductances or near zero current, have less weight.
-    outlying_share : float
-        Rms residual of that batch over the rms of the integrated voltages.
-    outlying_time : float
-        Time of that batch, gaps not counted, s.
-    jump : DelayJump, optional
-        Where the delay of the voltages changes.
-    """
-
+    # (size, B), first-order change of the estimate when each batch's residuals are left out; then the bias by the
+    # penalties, the bound on the bias by current noise, what is uncertain of the current between samples and of a
+    # delay, the changes by the lack of fit, and last the change with the shapes of the inverter's curve. ``changes @
+    # changes.T`` is the covariance of the estimate, consistent for heteroscedastic and autocorrelated residuals, biases
+    # included.
     changes: FloatArray
-    misfit: LackOfFit
-    speeds: FloatArray
-    drop_slope: float
-    turn: float
+    misfit: LackOfFit  # residuals beyond noise
+    speeds: FloatArray  # (N,), electrical speeds of windows, rad/s
+    drop_slope: float  # mean slope of the inverter's curve over the measured currents, ohm
+    turn: float  # median angle, rad, and duration, s, of a window
     duration: float
+    # largest mean square residual of a batch of time over the median of all batches; those at which current noise
+    # causes larger ones, as at large inductances or near zero current, have less weight
     outlying: float
-    outlying_share: float
-    outlying_time: float
-    jump: DelayJump | None = None
+    outlying_share: float  # rms residual of that batch over the rms of the integrated voltages
+    outlying_time: float  # time of that batch, gaps not counted, s
+    jump: DelayJump | None = None  # where the delay of the voltages changes
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FullFit:
-    """The fitted model.
-
-    Parameters
-    ----------
-    selection : Selection
-        The selected model and its alternatives.
-    assessment : Assessment
-        Of the windows of this fit, or of an earlier one, see :func:`fit_again`.
-    """
+    """The fitted model."""
 
     model: FullModel
     solution: FullSolution
-    selection: Selection
-    assessment: Assessment
+    selection: Selection  # the selected model and its alternatives
+    assessment: Assessment  # of the windows of this fit, or of an earlier one, see :func:`fit_again`
 
     @property
     def spec(self) -> ModelSpec:
@@ -173,20 +146,12 @@ def sigma(changes: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class EarlierFit:
-    """Selection and results of a fit, without its sums, for a later fit of the same samples and further ones.
+    """Selection and results of a fit, without its sums, for a later fit of the same samples and further ones."""
 
-    Parameters
-    ----------
-    model : FullModel
-        Of its sums.
-    moved : bool
-        Whether its currents were those in the map, see :meth:`~drive_id.core.full.effects.EffectColumns.moved`.
-    extended : bool
-        Whether its sums held the columns of effects, or the remainder alone, see :mod:`drive_id.core.full.effects`.
-    """
-
-    model: FullModel
+    model: FullModel  # of its sums
+    # whether its currents were those in the map, see :meth:`~drive_id.core.full.effects.EffectColumns.moved`
     moved: bool
+    # whether its sums held the columns of effects, or the remainder alone, see :mod:`drive_id.core.full.effects`
     extended: bool
     spec: ModelSpec
     found: FoundEffects

@@ -40,34 +40,19 @@ _SIGNIFICANCE = 4.0
 
 @dataclass(frozen=True, eq=False)
 class LackOfFit:
-    """Residuals beyond noise.
+    """Residuals beyond noise."""
 
-    Parameters
-    ----------
-    ratio : float
-        Rms of the residuals over the rms that current noise explains.
-    i_dq : (2,) float
-        Centre of the region of the current plane with the largest residuals, A.
-    worst : float
-        The same ratio there.
-    low : float
-        The same ratio below a fifth of i_max.
-    missed : (C, C, 2) float
-        Mean square flux, Wb^2, of d and q, that the data show and the model cannot follow, on equal cells of the square
-        around the current disc; 0 unless significant, see :func:`missed_flux`.
-    changes : (size, G) float
-        Changes of the estimate by the groups beyond noise, see :class:`~drive_id.core.full.fit.FullFit`.
-    causes : mapping of str to float
-        Share of the squared residuals that each possible cause would explain, see :func:`tested_causes`; empty if not
-        tested.
-    """
-
-    ratio: float
-    i_dq: FloatArray
-    worst: float
-    low: float
+    ratio: float  # rms of the residuals over the rms that current noise explains
+    i_dq: FloatArray  # (2,), centre of the region of the current plane with the largest residuals, A
+    worst: float  # the same ratio there
+    low: float  # the same ratio below a fifth of i_max
+    # (C, C, 2), mean square flux, Wb^2, of d and q, that the data show and the model cannot follow, on equal cells of
+    # the square around the current disc; 0 unless significant, see :func:`missed_flux`
     missed: FloatArray
+    # (size, G), changes of the estimate by the groups beyond noise, see :class:`~drive_id.core.full.fit.FullFit`
     changes: FloatArray
+    # share of the squared residuals that each possible cause would explain, see :func:`tested_causes`; empty if not
+    # tested
     causes: Mapping[str, float] = field(default_factory=dict)
 
     def missed_at(self, i_dq: FloatArray, i_max: float) -> FloatArray:

@@ -101,22 +101,12 @@ Space = GradientSpline | PotentialSpline
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Columns of flux map and harmonics, which follow all other columns.
+    """Columns of flux map and harmonics, which follow all other columns."""
 
-    Parameters
-    ----------
-    start : int
-        First column of the map.
-    flux, harmonic : Space
-        Functions of the map, and of the amplitudes of a rotor-position harmonic.
-    orders : tuple of int
-        Harmonics in the order of their columns.
-    """
-
-    start: int
-    flux: Space
+    start: int  # first column of the map
+    flux: Space  # functions of the map, and of the amplitudes of a rotor-position harmonic
     harmonic: Space
-    orders: tuple[int, ...]
+    orders: tuple[int, ...]  # harmonics in the order of their columns
 
     @cached_property
     def map(self) -> slice:
@@ -466,48 +456,20 @@ def sum_of_squares(
 
 @dataclass(frozen=True)
 class ModelSpec:
-    """One variant of the model.
+    """One variant of the model."""
 
-    Parameters
-    ----------
-    reciprocal : bool
-        The maps are gradients of a co-energy.
-    orders : tuple of int
-        Harmonics.
-    per_phase : bool
-        One inverter curve per phase.
-    inverter : bool
-        With an inverter curve at all.
-    wide : int
-        Number of shapes of the inverter's curve beyond the usual ones.
-    constant : bool
-        With a constant voltage in the stator frame.
-    penalty : float
-        On the map's roughness.
-    delay : float
-        Time by which the voltages act later than recorded, samples.
-    magnet : bool
-        With a magnet flux that changes with temperature.
-    lag : bool
-        With the remainder of a compensation that uses the currents one sample earlier.
-    crossing : bool
-        With a time by which the steps of the drop are early.
-    effects : tuple of str
-        Names in ``EFFECTS`` that are fitted.
-    """
-
-    reciprocal: bool
-    orders: tuple[int, ...]
-    per_phase: bool = False
-    inverter: bool = True
-    wide: int = 0
-    constant: bool = True
-    penalty: float = PENALTIES[0]
-    delay: float = 0.0
-    magnet: bool = False
-    lag: bool = False
-    crossing: bool = False
-    effects: tuple[str, ...] = ()
+    reciprocal: bool  # the maps are gradients of a co-energy
+    orders: tuple[int, ...]  # harmonics
+    per_phase: bool = False  # one inverter curve per phase
+    inverter: bool = True  # with an inverter curve at all
+    wide: int = 0  # number of shapes of the inverter's curve beyond the usual ones
+    constant: bool = True  # with a constant voltage in the stator frame
+    penalty: float = PENALTIES[0]  # on the map's roughness
+    delay: float = 0.0  # time by which the voltages act later than recorded, samples
+    magnet: bool = False  # with a magnet flux that changes with temperature
+    lag: bool = False  # with the remainder of a compensation that uses the currents one sample earlier
+    crossing: bool = False  # with a time by which the steps of the drop are early
+    effects: tuple[str, ...] = ()  # names in ``EFFECTS`` that are fitted
 
 
 def delay_shares(delay: float) -> FloatArray:

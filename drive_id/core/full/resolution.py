@@ -41,22 +41,12 @@ knots is off by the third power of their distance, so halves leave 1/64 of the s
 
 @dataclass(frozen=True, eq=False)
 class Resolution:
-    """Cells of the map and of its harmonics.
+    """Cells of the map and of its harmonics."""
 
-    Parameters
-    ----------
-    d, q : (C + 1,) float
-        Edges of the map's cells along i_d and i_q, increasing, A.
-    harmonic : int
-        Cells per axis of the amplitudes of harmonics.
-    halved : bool
-        Whether cells were halved where the map bends.
-    """
-
-    d: FloatArray
+    d: FloatArray  # (C + 1,), edges of the map's cells along i_d and i_q, increasing, A
     q: FloatArray
-    harmonic: int = HARMONIC_CELLS
-    halved: bool = False
+    harmonic: int = HARMONIC_CELLS  # cells per axis of the amplitudes of harmonics
+    halved: bool = False  # whether cells were halved where the map bends
 
     @classmethod
     def usual(cls, low: FloatArray, high: FloatArray) -> Resolution:
@@ -101,18 +91,11 @@ class Resolution:
 
 @dataclass(frozen=True, eq=False)
 class Misfit:
-    """Squared residuals beyond noise in the cells of each axis, relative to the mean noise.
+    """Squared residuals beyond noise in the cells of each axis, relative to the mean noise."""
 
-    Parameters
-    ----------
-    d, q : (C,) float
-    least : float
-        From which on a cell is too coarse.
-    """
-
-    d: FloatArray
+    d: FloatArray  # (C,)
     q: FloatArray
-    least: float
+    least: float  # from which on a cell is too coarse
 
     @property
     def shows(self) -> bool:

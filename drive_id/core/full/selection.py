@@ -80,23 +80,14 @@ _ABOVE_OTHERS = 6.0
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """The selected variant, its fit, and the quantities behind the selection.
-
-    Parameters
-    ----------
-    solution : FullSolution
-    search : EffectSearch
-        The selected effects of real drives.
-    advantage : float
-        Share by which free maps, where they are selected, reduce the squared error on held-out data.
-    crossings : float
-        Excess of the residuals of windows with a zero crossing, see
-        :func:`~drive_id.core.full.zero_crossings.between_crossings`; NaN where the fit includes them.
-    """
+    """The selected variant, its fit, and the quantities behind the selection."""
 
     solution: FullSolution
-    search: EffectSearch
+    search: EffectSearch  # the selected effects of real drives
+    # share by which free maps, where they are selected, reduce the squared error on held-out data
     advantage: float = np.nan
+    # excess of the residuals of windows with a zero crossing, see
+    # :func:`~drive_id.core.full.zero_crossings.between_crossings`; NaN where the fit includes them
     crossings: float = np.nan
 
     @property

@@ -53,31 +53,18 @@ _ROUNDING = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class FullSolution:
-    """Solution of one variant of the model.
-
-    Parameters
-    ----------
-    estimate : (size,) float
-        Estimate in the columns of the unknowns, -1 and the shares of the delay in those of the voltage, so that
-        ``Z estimate`` are the residuals, Vs.
-    basis : (size, M) sparse
-        T, from unknowns to columns.
-    summed : (summed.size,) float
-        The estimate in the columns of the sums.
-    factor : (M, M) float
-        Lower Cholesky factor of the penalized normal matrix divided by ``scale`` on both sides.
-    scale : (M,) float
-    sum_of_squares : float
-        Of the residuals, (Vs)^2.
-    """
+    """Solution of one variant of the model."""
 
     spec: ModelSpec
+    # (size,), estimate in the columns of the unknowns, -1 and the shares of the delay in those of the voltage, so that
+    # ``Z estimate`` are the residuals, Vs
     estimate: FloatArray
-    basis: sparse.csr_array
-    summed: FloatArray
+    basis: sparse.csr_array  # (size, M), T, from unknowns to columns
+    summed: FloatArray  # (summed.size,), the estimate in the columns of the sums
+    # (M, M), lower Cholesky factor of the penalized normal matrix divided by ``scale`` on both sides
     factor: FloatArray
-    scale: FloatArray
-    sum_of_squares: float
+    scale: FloatArray  # (M,)
+    sum_of_squares: float  # of the residuals, (Vs)^2
     rows: float
 
     @property
@@ -348,21 +335,11 @@ def better_on_most_folds(errors: FloatArray, other: FloatArray) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class CurrentNoise:
-    """White noise of the measured currents and its effect on the regression.
+    """White noise of the measured currents and its effect on the regression."""
 
-    Parameters
-    ----------
-    variance : float
-        Of i_d and i_q each, A^2.
-    windows : Windows
-        A subset, evenly over time, whose ends give the currents.
-    angle_variance : float
-        Mean square error of an interpolated angle, rad^2.
-    """
-
-    variance: float
-    windows: Windows
-    angle_variance: float = 0.0
+    variance: float  # of i_d and i_q each, A^2
+    windows: Windows  # a subset, evenly over time, whose ends give the currents
+    angle_variance: float = 0.0  # mean square error of an interpolated angle, rad^2
 
     @property
     def period(self) -> float:

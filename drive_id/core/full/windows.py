@@ -75,103 +75,52 @@ _AXES = np.exp(1j * frames.PHASE_SHIFTS)
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Terms of the balance over N windows.
+    """Terms of the balance over N windows."""
 
-    Parameters
-    ----------
-    time : (N,) float
-        Time of the start, gaps not counted, s.
-    i_dq : (N, 2, 2) float
-        Measured currents at [start, end], A.
-    angle : (N, 2) float
-        Electrical angle at [start, end], rad.
-    voltage : (N,) complex
-        int u_s, Vs.
-    current : (N,) complex
-        int i_s, As.
-    duration : (N,) float
-        s.
-    shifted : (N, len(SHIFTS)) complex
-        T (u_s[end + shift] - u_s[start + shift]): change of the integral per sample of delay, Vs.
-    shape : (N, S, 3) float
-        Integrals of the inverter's shapes of each phase's current, s.
-    lag : (N, L) complex
-        Integrals of the coarse shapes minus those for the current one sample earlier, turned with the rotor, by which
-        a drive compensates the drop, s.
-    crossing : (N,) complex
-        Sum over the zero crossings of the phase currents, see :func:`_integrate`, s.
-    sensed : (N, L, 5) complex
-        int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s), j conj(i_s), 1 and j: by how
-        much the faults of the current sensors change their integrals, s, the last two s/A.
-    heating, magnet_heating : (N,) float
-        Temperature of winding and magnet above the reference temperature of resistance and flux map, K. The winding:
-        as recorded, else as set for the recording; the magnet: as recorded, else that of the winding.
-    drop_scale : (N,) float
-        DC-link voltage over the reference voltage of the inverter's curve.
-    period : (N,) float
-        Sample period, s.
-    held : (N, 2) complex
-        Voltage u_s held before [start, end], V.
-    slope : (N, 2) complex
-        d i_dq / dt before [start, end], A/s, from earlier samples only: the controller responds to the noise of a
-        sample later, so that noise and slope are independent.
-    lagging : (N, 2, len(LAGS) + 1) complex
-        i_dq at [start, end], interpolated between neighbouring samples to exclude the noise of the sample itself, minus
-        the same after first-order lags of LAGS seconds; last, the interpolated current itself, A.
-    speed : (N, 2) float
-        Electrical speed at [start, end], rad/s.
-    turned : (N, 2) float
-        Electrical angle turned since the start of the run at [start, end], rad.
-    heat : (N,) float
-        int |i_s|^2 dt from the start of the recording to the start of the window, A^2 s.
-    link : (N,) complex
-        int u_s u_dc, V^2 s, NaN where the DC-link voltage is not known.
-    loaded : (N,) complex
-        int u_s p with the power p = 3/2 Re(u_s conj(i_s)) that the machine takes, V^2 A s.
-    run, recording : (N,) int
-        Number of the gap-free run and of the recording.
-    clearance : (N,) float
-        Smallest absolute value of a phase current within the window, 0 where one crosses zero, A.
-    short : (N,) bool
-        Whether the rotor turns by SHORT_ANGLE instead of WINDOW_ANGLE.
-    moved : (N, 2) complex, optional
-        ``i_dq`` minus the measured currents, see ``EffectColumns.moved``; default: 0, A.
-    effects : (N, EFFECT_COLUMNS) complex, optional
-        Columns of the regression that depend on a map, see :mod:`drive_id.core.full.effects`.
-    weight : (N,) float, optional
-        Of the squared residuals; default: 1.
-    """
-
-    time: FloatArray
-    i_dq: FloatArray
-    angle: FloatArray
-    voltage: ComplexArray
-    current: ComplexArray
-    duration: FloatArray
+    time: FloatArray  # (N,), time of the start, gaps not counted, s
+    i_dq: FloatArray  # (N, 2, 2), measured currents at [start, end], A
+    angle: FloatArray  # (N, 2), electrical angle at [start, end], rad
+    voltage: ComplexArray  # (N,), int u_s, Vs
+    current: ComplexArray  # (N,), int i_s, As
+    duration: FloatArray  # (N,), s
+    # (N, len(SHIFTS)), T (u_s[end + shift] - u_s[start + shift]): change of the integral per sample of delay, Vs
     shifted: ComplexArray
-    shape: FloatArray
+    shape: FloatArray  # (N, S, 3), integrals of the inverter's shapes of each phase's current, s
+    # (N, L), integrals of the coarse shapes minus those for the current one sample earlier, turned with the rotor, by
+    # which a drive compensates the drop, s
     lag: ComplexArray
-    crossing: ComplexArray
+    crossing: ComplexArray  # (N,), sum over the zero crossings of the phase currents, see :func:`_integrate`, s
+    # (N, L, 5), int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s), j conj(i_s), 1 and j:
+    # by how much the faults of the current sensors change their integrals, s, the last two s/A
     sensed: ComplexArray
+    # (N,), temperature of winding and, below, magnet above the reference temperature of resistance and flux map, K. The
+    # winding: as recorded, else as set for the recording; the magnet: as recorded, else that of the winding.
     heating: FloatArray
     magnet_heating: FloatArray
-    drop_scale: FloatArray
-    period: FloatArray
-    held: ComplexArray
+    drop_scale: FloatArray  # (N,), DC-link voltage over the reference voltage of the inverter's curve
+    period: FloatArray  # (N,), sample period, s
+    held: ComplexArray  # (N, 2), voltage u_s held before [start, end], V
+    # (N, 2), d i_dq / dt before [start, end], A/s, from earlier samples only: the controller responds to the noise of a
+    # sample later, so that noise and slope are independent
     slope: ComplexArray
+    # (N, 2, len(LAGS) + 1), i_dq at [start, end], interpolated between neighbouring samples to exclude the noise of the
+    # sample itself, minus the same after first-order lags of LAGS seconds; last, the interpolated current itself, A
     lagging: ComplexArray
-    speed: FloatArray
-    turned: FloatArray
-    heat: FloatArray
-    link: ComplexArray
-    loaded: ComplexArray
-    run: IntArray
+    speed: FloatArray  # (N, 2), electrical speed at [start, end], rad/s
+    turned: FloatArray  # (N, 2), electrical angle turned since the start of the run at [start, end], rad
+    heat: FloatArray  # (N,), int |i_s|^2 dt from the start of the recording to the start of the window, A^2 s
+    link: ComplexArray  # (N,), int u_s u_dc, V^2 s, NaN where the DC-link voltage is not known
+    loaded: ComplexArray  # (N,), int u_s p with the power p = 3/2 Re(u_s conj(i_s)) that the machine takes, V^2 A s
+    run: IntArray  # (N,), number of the gap-free run, and below of the recording
     recording: IntArray
+    # (N,), smallest absolute value of a phase current within the window, 0 where one crosses zero, A
     clearance: FloatArray
-    short: BoolArray
+    short: BoolArray  # (N,), whether the rotor turns by SHORT_ANGLE instead of WINDOW_ANGLE
+    # (N, 2), ``i_dq`` minus the measured currents, see ``EffectColumns.moved``; default: 0, A
     moved: ComplexArray | None = None
+    # (N, EFFECT_COLUMNS), columns of the regression that depend on a map, see :mod:`drive_id.core.full.effects`
     effects: ComplexArray | None = None
-    weight: FloatArray | None = None
+    weight: FloatArray | None = None  # (N,), of the squared residuals; default: 1
 
     def __len__(self) -> int:
         return len(self.time)

@@ -26,7 +26,7 @@ _WORDS = {
     types.NoneType: ("null", "null"),
 }
 _MAPPING = ("a mapping", "mappings")
-_LONGEST_SHOWN = 60
+_LONGEST_SHOWN = 60  # characters of a wrong value in a message: its sentence stays readable
 _MOST_LISTED = 40  # names of settings in a message
 _MOST_NEAR = 5
 _ALIKE = 0.6  # share of common letters from which one name may be meant for another

@@ -31,7 +31,7 @@ _LABEL = np.array([0.27, 0.12])
 _FINE = 181
 """Points along each axis of the disc at which maps are drawn."""
 _FILL = 1.0  # drawing order in the disc: from the filled contours
-_TRAJECTORY = 1.2
+_TRAJECTORY = 1.2  # each one above the one before
 _LINES = 1.4
 _BLANK = 1.6
 _BORDER = 1.8  # to its border

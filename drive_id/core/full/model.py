@@ -33,7 +33,7 @@ from drive_id.types import TINY, BoolArray, FloatArray, IntArray
 FLUX_DEGREE, HARMONIC_DEGREE = 4, 3
 """Of the co-energies of map and harmonics."""
 
-VOLTAGE, RESISTANCE = 0, 1
+VOLTAGE, RESISTANCE = 0, 1  # columns of all variants, as the slices below
 CONSTANT = slice(2, 4)
 SHIFT = slice(4, 4 + len(SHIFTS))
 MAGNET = SHIFT.stop

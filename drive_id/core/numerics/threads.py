@@ -15,7 +15,7 @@ from threadpoolctl import ThreadpoolController
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-MOST_THREADS = 4
+MOST_THREADS = 4  # however many cores there are: a fit shares the computer with the nodes
 
 
 class _Background(threading.local):

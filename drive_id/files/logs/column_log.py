@@ -32,7 +32,7 @@ _NAMES = {
     "mat73": "MATLAB",
     "hdf5": "HDF5",
 }
-_MOST_NAMED = 12
+_MOST_NAMED = 12  # columns or groups in a message: two lines of a terminal
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ _DELAY = 1.5
 the modulator."""
 _PLL = 0.2
 """Bandwidth of the observer of the angle relative to that of the current controllers, which it must not follow."""
-_Q15 = 2**15 - 1
+_Q15 = 2**15 - 1  # largest number of 16 bits with a sign
 _SIZE = "[DRIVE_ID_ND * DRIVE_ID_NQ]"
 
 

@@ -164,12 +164,12 @@ LOCKED: Final = Origin(
         _LINEAR_PART,
         "The magnets' flux and the torque are unknown: a constant flux induces no voltage in a machine at rest.",
         "The fluxes are those of one rotor position: the mean map differs by the rotor-position harmonics.",
-        "Gain errors, and offsets of the currents and of the angle, leave no trace.",
+        "Gain errors, offsets of currents and angle, and a delay of the voltages leave no trace.",
     ),
     reference=_PAPER,
     ignores=(
-        *_OF_PAPER, "rows_are_points", "maps", "harmonic_orders", "search_orders", "calibrate_angle",
-        "calibrate_currents", "inertia", "added_inertia",
+        *_OF_PAPER, "rows_are_points", "maps", "harmonic_orders", "search_orders", "calibrate_delay",
+        "calibrate_angle", "calibrate_currents", "inertia", "added_inertia", "rated_current",
     ),
 )  # fmt: skip
 _SYMMETRIC = "At one constant speed, R is separable from the fluxes only by assuming reciprocal, symmetric maps."

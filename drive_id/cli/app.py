@@ -200,7 +200,7 @@ def fit(
     serial: Annotated[str | None, typer.Option(help="Serial number of the machine.")] = None,
     rated_current: Annotated[
         float | None,
-        typer.Option(help="Rated current, amplitude, A: the answer tells inductances and torque there, too."),
+        typer.Option(help="Rated current, amplitude, A: the answer tells inductances and torque there."),
     ] = None,
     signals: options.SignalsOption = None,
     namespace: options.NamespaceOption = "",
@@ -292,7 +292,7 @@ def accumulate(
     ] = None,
     i_max: options.RadiusOption = None,
     method: Annotated[
-        str | None, typer.Option(help="Method of the later fit; full serves all.  \\[default: full]")
+        str | None, typer.Option(help="Method of the later fit; full serves all but locked.  \\[default: full]")
     ] = None,
     signals: options.SignalsOption = None,
     namespace: options.NamespaceOption = "",

@@ -93,7 +93,9 @@ class FitSettings(Checked):
         maximum=MOST_POLE_PAIRS,
     )
     rated_current: float | None = setting(
-        None, "full: rated current, amplitude, at which the answer tells inductances and torque; default: near i_max",
+        None,
+        "full: rated current, amplitude, at which the answer tells inductances and torque; default, and from 95 % of "
+        "i_max on: near i_max",
         unit="A", minimum=1e-3, maximum=1e6,
     )  # fmt: skip
     inertia: float | None = setting(

@@ -33,6 +33,7 @@ from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.processes import in_processes
 from drive_id.fitting.streaming import accumulate
 from drive_id.messages import Message
+from drive_id.origins import ORIGINS
 from drive_id.types import Progress, Samples, silent
 
 Item = TypeVar("Item")
@@ -229,6 +230,12 @@ def _accumulated(source: tuple[Path, FitSettings], sources: Sources, *, threads:
     except DriveIdError as error:
         return _naming(path, error)
     if is_information(path):
+        before = found.evidence.settings.method
+        if ORIGINS[before].turning != ORIGINS[settings.method].turning:
+            raise ConfigurationError(
+                f"{path} was accumulated and checked for method {before}, and method locked alone fits a rotor that "
+                f"does not turn: fit it by method {before}, or accumulate it again for method {settings.method}."
+            )
         own = replace(found.evidence.settings, method=settings.method)
         found = replace(found, evidence=found.evidence.copy(own))  # without what another method needed
         wanted = Evidence.within(settings, settings.i_max or found.evidence.i_max)

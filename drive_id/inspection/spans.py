@@ -23,6 +23,8 @@ def with_spans(info: BagInfo) -> BagInfo:
     with open_log(path) as log:
         for table in read_contents(path).tables:
             columns = slice(start, start := start + len(table.types))
+            if not table.columns and table.stamp_source != "own":
+                continue  # no numbers to count
             try:
                 rows, seconds = _span(log, table)
             except DriveIdError as error:
@@ -39,7 +41,7 @@ def with_spans(info: BagInfo) -> BagInfo:
 def _span(log: ColumnLog, table: Table) -> tuple[int, float]:
     """Return the rows of a group of columns, and the time between the first and the last; 0 where none is known."""
     name, unit = (
-        (OWN_TIME, "ns") if table.stamp_source == "own" else time_column(table) or (next(iter(table.types)), "")
+        (OWN_TIME, "ns") if table.stamp_source == "own" else time_column(table) or (next(iter(table.columns), ""), "")
     )
     column, rows = Column(table.name, name), 0
     ends: list[float] = []

@@ -91,6 +91,7 @@ def row_of(result: Result) -> dict[str, Any]:
         "machine": result.machine,
         "serial": result.provenance.settings.serial,
         "method": result.method,
+        "turning": result.origin.turning,
         "quantities": plain(quantities),
         "coverage": plain(result.metrics["coverage"]),
         "warnings": list(result.warnings),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,10 @@ import drive_id
 from drive_id.bench.drive import build_machine
 from drive_id.bench.machines import machine_map
 from drive_id.errors import ConfigurationError, DataError, StandstillError
+from drive_id.files.write.writer import write_recording
+from drive_id.fitting.fit import accumulate_bags
 from drive_id.fitting.simulated import simulate
+from drive_id.fitting.sources import Sources
 
 POSITIONS = {"ipm": 0.3, "spm": 1.1, "pmsyrm": 2.0}
 LOCKED = drive_id.FitSettings(method="locked")
@@ -78,8 +83,34 @@ def test_it_is_compared_with_its_like_only(results):
     assert drive_id.compare(results["ipm"], results["ipm"]).torque is None
 
 
+def test_an_offset_of_the_speed_and_a_noisy_resolver_are_no_motion(recordings):
+    samples = recordings["ipm"]
+    rng = np.random.default_rng(5)
+    noisy = replace(
+        samples, speed=samples.speed + 0.05, angle=samples.angle + np.deg2rad(0.3) * rng.standard_normal(len(samples))
+    )
+    assert drive_id.fit(noisy, settings=LOCKED).warnings[0].code == "locked_rotor"
+
+
+def test_recordings_at_several_positions_are_refused(recordings):
+    other = locked("ipm", 1.9)
+    with pytest.raises(DataError, match=r"varies by 91\.7 degrees electrical, so it was not locked at one position"):
+        drive_id.fit([recordings["ipm"], other], settings=LOCKED)
+
+
+def test_an_information_file_keeps_what_it_was_checked_for(tmp_path):
+    for method, speed, other in (("locked", 0.0, "full"), ("full", 500.0, "locked")):
+        bag = tmp_path / method
+        write_recording(bag, simulate("ipm", 3.0, speed=speed, noise=1e-3, seed=1))
+        settings = drive_id.FitSettings(method=method)
+        accumulate_bags(Sources([bag]), tmp_path / f"{method}.info", settings)
+        assert drive_id.fit(tmp_path / f"{method}.info", settings=settings).method == method
+        with pytest.raises(ConfigurationError, match=f"checked for method {method}"):
+            drive_id.fit(tmp_path / f"{method}.info", settings=drive_id.FitSettings(method=other))
+
+
 def test_other_methods_name_it_and_it_refuses_a_turning_rotor(recordings):
     with pytest.raises(StandstillError, match="choose method locked"):
         drive_id.fit(recordings["ipm"])
-    with pytest.raises(DataError, match="it was not locked: choose method full"):
+    with pytest.raises(DataError, match="it was not locked at one position: clamp it"):
         drive_id.fit(simulate("ipm", 1.0), settings=LOCKED)

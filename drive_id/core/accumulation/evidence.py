@@ -110,7 +110,8 @@ class Evidence:
 
         low, high = np.array([self.d.low, self.q.low]), np.array([self.d.high, self.q.high])
         reciprocal = self.settings.maps != "free"
-        return WindowSums(FullModel(low, high, self.i_max, self.settings.harmonic_orders, reciprocal=reciprocal))
+        orders = self.settings.harmonic_orders if ORIGINS[self.settings.method].turning else ()
+        return WindowSums(FullModel(low, high, self.i_max, orders, reciprocal=reciprocal))
 
     def add(
         self,
@@ -178,7 +179,7 @@ class Evidence:
         if over_windows and self.windows is None:
             raise ConfigurationError(
                 f"The samples were accumulated for method {self.settings.method}, which is not enough for method "
-                f"{other.settings.method}: accumulate them with that method, which serves all methods."
+                f"{other.settings.method}: accumulate them with that method, which serves this one, too."
             )
         other.information = self.information.copy()
         other.visits = self.visits.copy()
@@ -219,7 +220,8 @@ class Evidence:
             mine, theirs = (getattr(settings, name) for settings in (self.settings, other.settings))
             if mine != theirs:
                 return f"{name} is {mine} {this} and {theirs} {that}"
-        if (self.windows is None) != (other.windows is None):
+        turning = [ORIGINS[each.settings.method].turning for each in (self, other)]
+        if (self.windows is None) != (other.windows is None) or turning[0] != turning[1]:
             return f"method is {self.settings.method} {this} and {other.settings.method} {that}"
         if self.i_max != other.i_max:
             return f"i_max is {self.i_max:.6g} A {this} and {other.i_max:.6g} A {that}"

@@ -40,8 +40,6 @@ SPIKE_FACTOR = 1.2
 _FAULT_FACTOR = 10.0
 """Ratio to the usual amplitude above which a sample shows a faulty sensor or field and is refused."""
 _NOISE_SHARE = 0.1  # rms step over the range of a current: a trajectory takes many samples from end to end
-_LOCKED_TURN = np.deg2rad(2.0)
-"""Electrical angle that a locked rotor may give: a 24th harmonic changes by its amplitude within it."""
 _WINDOW = 128  # advances of the rotor summed before speed and angle are compared: noise of the speed averages out
 _JUMP, _JUMP_FACTOR = 0.2, 5.0
 """Rad between angle and speed within a sample, beyond any resolver's error, and by how much more than usual where a
@@ -194,7 +192,7 @@ class Prescan:
             time_findings(self._periods),
             unit_findings(runs) if runs else none,
             self._on_jumps(),
-            self._on_rotation(runs) if turning else self._on_locked(),
+            self._on_rotation(runs) if turning else none,
             degree_findings(runs, usual) if runs else none,
             self._on_trajectory(),
             self._single.findings(usual),
@@ -256,18 +254,9 @@ class Prescan:
             by, at = found[found[:, 1].argmin()]
             yield Message("angle_jump", jumps=len(found), time=at, jump=by)
 
-    @property
-    def _turned(self) -> float:
-        """Range of the angle, rad."""
-        with np.errstate(invalid="ignore"):
-            return max(float((self._turns[:, 2] - self._turns[:, 1]).max()), 0.0)
-
-    def _on_locked(self) -> Iterator[Message]:
-        if self._turned > _LOCKED_TURN:
-            yield Message("not_locked", turned=self._turned)
-
     def _on_rotation(self, runs: Sequence[Samples]) -> Iterator[Message]:
-        turned = self._turned
+        with np.errstate(invalid="ignore"):
+            turned = max(float((self._turns[:, 2] - self._turns[:, 1]).max()), 0.0)
         if turned < 2 * np.pi:  # electrical: each position once
             yield standstill_finding(turned, float(self._products[3]))
             return

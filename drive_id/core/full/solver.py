@@ -358,7 +358,7 @@ class CurrentNoise:
         return replace(self, variance=self.variance * min(1.0, solution.residual_rms**2 / max(expected, TINY)))
 
     def explained(self, model: FullModel, solution: FullSolution) -> float:
-        """Return the mean squared residual that it causes, (Vs)^2."""
+        """Return the mean squared residual that it causes through both ends of windows, (Vs)^2."""
         squares = self.at_ends(model, solution.estimate, self.windows)
         return float(squares.sum() / (2 * self.windows.weights.sum()))
 

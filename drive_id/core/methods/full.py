@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from drive_id.core.full.fit import sigma as fitted_sigma
 from drive_id.core.full.model import MAGNET, RESISTANCE
 from drive_id.core.full.resolution import FLUX_CELLS
 from drive_id.core.full.window_sums import WindowSums
-from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE
+from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE, Windows
 from drive_id.core.maps.coverage import smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import BasisRows, TensorSpline, fitted, sites
@@ -39,6 +39,9 @@ _AVERAGED = 4
 """Samples over which the simulation averages the voltage that effects take."""
 _LEAST_OUTLYING = 0.01  # rms residual of an outlying batch of time, over the voltages, from which on its time is told
 _LEAST_TURN = 0.75  # of a window's angle and duration: shorter ones do not rotate slowly
+_LOCKED_TURN = np.deg2rad(2.0)
+"""Electrical angle that a locked rotor may give: a 24th harmonic changes by its amplitude within it."""
+_NEARLY_ALL = (0.01, 0.99)  # quantiles of the angles, without which noise of the resolver would count as motion
 _FEW_POINTS = 0.005  # share of the map's points that may be uncertain
 _LARGE_SIGMA = 0.01  # standard error over the largest flux of an uncertain point
 _LARGE_SHARE = 0.01
@@ -69,11 +72,14 @@ class FullMethod:
             raise DataError(Message("few_windows", windows=information.windows))
         settings = evidence.settings
         locked = _locked(evidence)
-        if locked:  # a map at one position: neither harmonics nor faults of resolver and current sensors show
-            information = information.over(replace(information.model, orders=()))
+        if locked:  # a map at one position: neither harmonics nor faults of the sensors show
+            _check_position(information)
+            if information.model.orders:  # accumulated for another method
+                information = information.over(replace(information.model, orders=()))
             settings = replace(
-                settings, maps="reciprocal", search_orders=False, calibrate_angle=False, calibrate_currents=False
-            )
+                settings, maps="reciprocal", search_orders=False, calibrate_delay=False, calibrate_angle=False,
+                calibrate_currents=False,
+            )  # fmt: skip
         noise, of_angle = evidence.noise_variance, evidence.angle_variance
         fit = fit_full(information, settings, evidence.turn, noise, earlier, angle_variance=of_angle)
         if (jump := fit.assessment.jump) is not None:
@@ -175,6 +181,21 @@ def _locked(evidence: Evidence) -> bool:
     return not ORIGINS[evidence.settings.method].turning
 
 
+def _position(windows: Iterable[Windows]) -> tuple[float, float]:
+    """Return the mean electrical angle of windows, and the range of nearly all of them, rad."""
+    angles = np.concatenate([part.angle[:, 0] for part in windows])
+    mean = np.angle(np.mean(np.exp(1j * angles)))
+    low, high = np.quantile(np.angle(np.exp(1j * (angles - mean))), _NEARLY_ALL)
+    return float(mean), float(high - low)
+
+
+def _check_position(sums: WindowSums) -> None:
+    """Raise DataError unless the rotor was at one position in all runs of all recordings."""
+    _, turned = _position(sums.kept())
+    if turned > _LOCKED_TURN:
+        raise DataError(Message("not_locked", turned=turned))
+
+
 def _outlying_time(fit: FullFit) -> float | None:
     """Return when samples stand out from all others, in time of data, s."""
     judged = fit.assessment
@@ -190,7 +211,7 @@ def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
 
 def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
     settings = evidence.settings
-    found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
+    found = [calibration.calibrate_delay(fit, settings.calibrate_delay and not _locked(evidence))]
     found += effect_entries(fit)
     if _locked(evidence):
         return found
@@ -297,8 +318,7 @@ def _on_map(
     """Yield warnings of the windows and of the standard errors of the flux map."""
     locked = _locked(evidence)
     if locked:
-        angles = np.concatenate([windows.angle[:, 0] for windows in fit.selection.search.sums.kept()])
-        yield Message("locked_rotor", angle=float(np.angle(np.mean(np.exp(1j * angles)))))
+        yield Message("locked_rotor", angle=_position(fit.selection.search.sums.kept())[0])
     if misfit := misfit_warning(fit):
         yield misfit
     share = SHORT_ANGLE / WINDOW_ANGLE if fit.crossings > 1 else 1.0
@@ -340,7 +360,7 @@ def _statements(
     locked = _locked(evidence)
     several = not locked and several_speeds(fit.assessment.speeds)
     relative = fit.sigma_resistance / max(abs(fit.solution.resistance), TINY)
-    by = ".speeds" if several else ".reciprocity" if fit.spec.reciprocal and not locked else ""
+    by = ".locked" if locked else ".speeds" if several else ".reciprocity" if fit.spec.reciprocal else ""
     yield Message(f"separation{by}", share=relative)
     yield Message("linear_drop")
     yield Message("common_gain")

@@ -51,7 +51,8 @@ def headline(
         found.append(Quantity("Inverter drop", drive.voltage_error, drive.sigma_voltage_error, "V", note))
     found.append(Quantity("i_max", drive.i_max, math.nan, "A", "Radius of the current disc."))
     if pole_pairs:
-        found += [q for at in (loaded if wanted else None, peak) if at for q in at.torques(drive, pole_pairs)]
+        points = {point.where(drive): point for point in (loaded if wanted else None, peak) if point}
+        found += [quantity for point in points.values() for quantity in point.torques(drive, pole_pairs)]
     return (*found, *_of_shaft(drive))
 
 

@@ -11,7 +11,7 @@ from drive_id.errors import CoverageError, OutputError
 from drive_id.exchange.exports.formats import ExportFormat, export_format
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
-from drive_id.exchange.exports.writers import matlab
+from drive_id.exchange.exports.writers import c_header, matlab
 from drive_id.files.results.folder import check_absent, replace_file
 from drive_id.result.result import Result
 
@@ -51,11 +51,11 @@ def content_of(result: Result, name: str, options: ExportOptions | None = None) 
     if not chosen.grid and not table.machine.inside(0.0, 0.0):
         raise CoverageError(f"The map has no data at zero current, from which --format {name} takes its numbers.")
     content = chosen.write(table, wanted)
+    bandwidth = f"The bandwidth is {wanted.bandwidth:g} Hz."
     if not chosen.grid:
-        return content, Exported(
-            0, 0, filled=False, remarks=(f"The bandwidth is {wanted.bandwidth:g} Hz. {table.gain_source}",)
-        )
-    return content, Exported(table.inside.size, table.missing, wanted.filled, chosen.gaps, _remarks(table, chosen))
+        return content, Exported(0, 0, filled=False, remarks=(f"{bandwidth} {table.gain_source}",))
+    remarks = (*([bandwidth] if chosen.write is c_header.write else []), *_remarks(table, chosen))
+    return content, Exported(table.inside.size, table.missing, wanted.filled, chosen.gaps, remarks)
 
 
 def _remarks(table: MapTable, chosen: ExportFormat) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import DriveIdError
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.live_evidence import LiveEvidence, Snapshot
+from drive_id.origins import ORIGINS
 from drive_id.types import Progress
 
 MOST_GROWTH = 1.25
@@ -88,7 +89,7 @@ class Refits:
         known = self._selected
         if known is None or known.settings != settings or not known.samples <= samples <= MOST_GROWTH * known.samples:
             return None
-        return known.conclusion if known.conclusion.fit is not None or settings.method != "full" else None
+        return known.conclusion if known.conclusion.fit is not None or not ORIGINS[settings.method].windows else None
 
     def job(self, live: LiveEvidence) -> RefitJob | None:
         """Return a background fit if one is due; the same samples are never fitted twice."""

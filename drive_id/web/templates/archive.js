@@ -84,6 +84,7 @@
   }
 
   function picture(first, other, flux) {
+    if (first.turning !== other.turning) return made("p", {}, `ψ_${flux}: a locked rotor tells no flux of the magnets, so it is not compared with a turning one.`);
     const { step, cells, values, units } = difference(first.map, other.map, flux);
     if (!cells.length) return made("p", {}, `ψ_${flux}: the two maps have no currents in common.`);
     const known = units.filter((x) => x !== null);

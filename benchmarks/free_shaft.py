@@ -148,9 +148,9 @@ def locked(name: str, position: float, seed: int) -> str:
     flux_map, grid, true = found.flux_map, found.flux_map.grid(), build_machine(machine, settings)
     i_dq = grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= machine.i_max)]
     psi, sigma = (np.stack(of(*i_dq.T), axis=-1) for of in (flux_map.psi_dq, flux_map.sigma))
-    zero = np.zeros((1, 2))
-    exact = true.flux(*i_dq.T, np.full(len(i_dq), position)) - true.flux(*zero.T, np.array([position]))
-    mean = true.mean_flux(*i_dq.T) - true.mean_flux(*zero.T)
+    i_d, i_q = i_dq.T
+    exact = true.flux(i_d, i_q, position) - true.flux(0.0, 0.0, position)
+    mean = true.mean_flux(i_d, i_q) - true.mean_flux(0.0, 0.0)
     (d, q), (mean_d, mean_q) = (
         100 * np.sqrt(np.mean((psi - of) ** 2, axis=0)) / np.abs(exact).max(axis=0) for of in (exact, mean)
     )

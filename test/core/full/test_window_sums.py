@@ -215,7 +215,9 @@ def test_memory_does_not_grow_with_the_recording(free, samples, monkeypatch):
         tracemalloc.stop()
         return found
 
-    assert peak(9) < 1.05 * peak(3)
+    peak(3)  # what is computed once and kept
+    few = peak(3)
+    assert peak(9) < 1.05 * few
 
 
 @pytest.mark.parametrize("most", [7, 64, 5000])

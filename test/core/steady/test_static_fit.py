@@ -180,5 +180,5 @@ def test_settings_that_the_method_ignores_are_named():
     assert replace(STATIC, maps="free", splines_d=9, monotone=True).idle() == ["maps", "splines_d", "monotone"]
     assert replace(STATIC, temperatures=(20.0,), u_dc=(400.0,), rows_are_points=True).idle() == []
     assert FitSettings(rows_are_points=True).idle() == ["rows_are_points"]
-    with pytest.raises(ConfigurationError, match="psm, joint, full, static"):
+    with pytest.raises(ConfigurationError, match="psm, joint, full, locked, static"):
         FitSettings(method="statics")

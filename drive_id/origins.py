@@ -30,16 +30,13 @@ class Origin:
         Whether R and standard errors were estimated; else they are what a file says.
     inverter, harmonics : bool
         Whether results have the inverter's curve, and rotor-position harmonics.
-    turning : bool
-        Whether the map is the mean over rotor positions, magnet flux included; else it is the flux at one position
-        minus that at zero current, and neither torque nor voltages of the turning machine follow from it.
     slopes : bool
         Whether the standard errors hold for inductances away from zero current, too: others miss the bias there.
     diagnostics : bool
         Whether results have residuals over time and angle, a simulated current, and other methods beside them.
     live, windows : bool
         Whether it sums over samples, so that it serves live samples and information files, and over windows as well.
-    no_inverter, no_diagnostics : str
+    no_inverter, no_diagnostics, no_torque : str
         Why these are missing; empty where they are not.
     limits : tuple of str
         What the data leave open; the last one is what R rests on if all data are of one speed.
@@ -60,18 +57,27 @@ class Origin:
     fitted: bool = True
     inverter: bool = True
     harmonics: bool = False
-    turning: bool = True
     slopes: bool = False
     diagnostics: bool = True
     live: bool = True
     windows: bool = False
     no_inverter: str = ""
     no_diagnostics: str = ""
+    no_torque: str = ""
     limits: tuple[str, ...] = ()
     pole_pairs: str = "set pole_pairs in the fit, or in the signals file"
     advice: str = ""
     reference: str = ""
     ignores: tuple[str, ...] = ()
+
+    @property
+    def turning(self) -> bool:
+        """Whether the map is the mean over rotor positions, magnet flux included.
+
+        Else it is the flux at one position minus that at zero current, and neither torque nor voltages of the turning
+        machine follow from it.
+        """
+        return not self.no_torque
 
     @property
     def caption(self) -> str:
@@ -149,6 +155,7 @@ FULL: Final = Origin(
     reference=_PAPER,
     ignores=(*_OF_PAPER, "rows_are_points"),
 )
+_AT_REST = "The magnets' flux and the torque are unknown: a constant flux induces no voltage in a machine at rest."
 LOCKED: Final = Origin(
     name="locked",
     title="locked: rotor at rest",
@@ -158,11 +165,11 @@ LOCKED: Final = Origin(
         "splines with R and a free inverter curve to the voltage equation, integrated over windows, by linear least "
         "squares, with correction for current noise and heteroscedasticity-consistent standard errors."
     ),
-    turning=False,
     windows=True,
+    no_torque=_AT_REST,
     limits=(
         _LINEAR_PART,
-        "The magnets' flux and the torque are unknown: a constant flux induces no voltage in a machine at rest.",
+        _AT_REST,
         "The fluxes are those of one rotor position: the mean map differs by the rotor-position harmonics.",
         "Gain errors, offsets of currents and angle, and a delay of the voltages leave no trace.",
     ),

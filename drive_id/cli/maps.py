@@ -67,8 +67,9 @@ def import_file(
         current_scale=current_scale, flux_scale=flux_scale,
     )  # fmt: skip
     source = Source(
-        file, format_name, axis, conventions, machine, _columns(columns), psi_q_file, angle, angle_offset, scalars
-    )
+        file, format=format_name, axis=axis, conventions=conventions, machine=machine, columns=_columns(columns),
+        psi_q_file=psi_q_file, angle=angle, angle_offset=angle_offset, scalars=scalars,
+    )  # fmt: skip
     output = output or options.beside(file, "_map")
     check_output(output, force=force)
     with console.working(quiet or as_json, "Importing"):
@@ -158,7 +159,10 @@ def export_result(
                 "--axis-d and --axis-q leave nothing for --grid and --range to choose: drop one pair."
             )
     i_d, i_q = (common if axis is None else axis for axis in given)
-    wanted = ExportOptions(i_d, i_q, fill, pole_pairs, u_dc, leakage, bandwidth, sample_period, phase_margin)
+    wanted = ExportOptions(
+        i_d=i_d, i_q=i_q, filled=fill, pole_pairs=pole_pairs, u_dc=u_dc, leakage_inductance=leakage,
+        bandwidth=bandwidth, sample_period=sample_period, phase_margin=phase_margin,
+    )  # fmt: skip
     with console.working(quiet or as_json, "Exporting"):
         exported = export_map(result, format_name, output, wanted, force=force)
     if as_json:

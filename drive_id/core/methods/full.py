@@ -66,22 +66,17 @@ class FullMethod:
         Raises DataError when there are fewer windows than unknowns, or the delay of the voltages jumps within a
         recording.
         """
+        locked = _locked(evidence)
+        if locked:
+            evidence = _without_rotation(evidence)
         assert evidence.windows is not None
         information = evidence.windows.finished()
         if information.windows < information.model.flux.parameters:
             raise DataError(Message("few_windows", windows=information.windows))
-        settings = evidence.settings
-        locked = _locked(evidence)
-        if locked:  # a map at one position: neither harmonics nor faults of the sensors show
-            _check_position(information)
-            if information.model.orders:  # accumulated for another method
-                information = information.over(replace(information.model, orders=()))
-            settings = replace(
-                settings, maps="reciprocal", search_orders=False, calibrate_delay=False, calibrate_angle=False,
-                calibrate_currents=False,
-            )  # fmt: skip
+        if locked:
+            information = _at_one_position(information)
         noise, of_angle = evidence.noise_variance, evidence.angle_variance
-        fit = fit_full(information, settings, evidence.turn, noise, earlier, angle_variance=of_angle)
+        fit = fit_full(information, evidence.settings, evidence.turn, noise, earlier, angle_variance=of_angle)
         if (jump := fit.assessment.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
@@ -189,11 +184,21 @@ def _position(windows: Iterable[Windows]) -> tuple[float, float]:
     return float(mean), float(high - low)
 
 
-def _check_position(sums: WindowSums) -> None:
-    """Raise DataError unless the rotor was at one position in all runs of all recordings."""
+def _without_rotation(evidence: Evidence) -> Evidence:
+    """Return the evidence with settings for one map at one position, which shows no faults of the sensors."""
+    settings = replace(
+        evidence.settings, maps="reciprocal", search_orders=False, calibrate_delay=False, calibrate_angle=False,
+        calibrate_currents=False,
+    )  # fmt: skip
+    return evidence.copy(settings)
+
+
+def _at_one_position(sums: WindowSums) -> WindowSums:
+    """Return the sums without harmonics; raises DataError unless the rotor stood at one position in all recordings."""
     _, turned = _position(sums.kept())
     if turned > _LOCKED_TURN:
         raise DataError(Message("not_locked", turned=turned))
+    return sums.over(replace(sums.model, orders=())) if sums.model.orders else sums  # accumulated for another method
 
 
 def _outlying_time(fit: FullFit) -> float | None:
@@ -211,10 +216,8 @@ def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
 
 def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
     settings = evidence.settings
-    found = [calibration.calibrate_delay(fit, settings.calibrate_delay and not _locked(evidence))]
+    found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
     found += effect_entries(fit)
-    if _locked(evidence):
-        return found
     disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
     if settings.calibrate_angle:
         reached = min(evidence.i_max, evidence.reached or evidence.i_max)

@@ -385,7 +385,7 @@ def _missing(result: Result, operation: TorqueMap | None) -> dict[str, str]:
     elif not np.any(result.drive.inverter_voltage):
         missing["inverter"] = "The result holds no inverter drop."
     if not result.origin.turning:
-        missing |= {"comparison": "The paper's methods need a turning rotor.", "operation": result.origin.limits[1]}
+        missing |= {"comparison": "The paper's methods need a turning rotor.", "operation": result.origin.no_torque}
     elif operation is None:
         missing["operation"] = (
             f"The number of pole pairs is unknown, and without it there is no torque: {result.origin.pole_pairs}."

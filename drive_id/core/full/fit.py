@@ -4,41 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise, zip_longest
 
 import numpy as np
-from scipy import sparse
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import Delay, DelayJump, delay_jump
 from drive_id.core.full.effect_search import EffectSearch, FoundEffects
-from drive_id.core.full.lack_of_fit import GroupSums, LackOfFit, tested_causes
+from drive_id.core.full.lack_of_fit import LackOfFit
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
-from drive_id.core.full.selection import Selection, effects_to_try, select
+from drive_id.core.full.selection import Selection, effects_to_try, select, tested_causes
 from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver, correct_attenuation
+from drive_id.core.full.standard_errors import SIGNIFICANCE, residual_statistics, sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.maps.flux_models import BasisRows, jacobian, positive_definite
-from drive_id.core.numerics.threads import MOST_THREADS, in_threads, one_blas_thread
+from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.types import TINY, BoolArray, FloatArray
 
-BATCH = 0.05
-"""Residuals of windows that start within this time are treated as dependent, others as independent, s."""
-
-_SIGNIFICANCE = 5.0
-"""Standard errors by which an effect must differ from zero to be kept."""
-
-_SERIES, _CONVERGED = 16, 1e-3
-"""Most terms of the binomial series of the leverage correction, and the term, relative to the sum, that ends it: far
-below the uncertainty of a standard error."""
 _SLOPE_STEP = 0.02
 """Relative to i_max, over which the slope of the drop is taken: wider than the noise, narrower than the step."""
-_STUDENT = 1.21
-"""Relative excess of Student's 97.5 % quantile over the normal one, per inverse degree of freedom: (1.96^2 + 1) / 4."""
-_FEWEST = 6.0
-"""Fewest degrees of freedom that are assumed, since their estimate is low by chance where there are few."""
 _BY_SHAPE = 2.0
 """Standard errors, for white residuals, by which R must change with the shape of the curve to be uncertain by that."""
 _PASSIVE_POINTS = 41
@@ -46,10 +32,6 @@ _PASSIVE_POINTS = 41
 _STIFFER, _ROUNDS = 10.0, 7
 """Factor by which the roughness penalty grows in each round, and most rounds: seven decades end in a map with constant
 inductances."""
-
-
-_Batch = tuple[FloatArray, float, float, float]
-"""Scores (M,), mean square residual, (Vs)^2, the same by current noise, and time, s."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -129,19 +111,6 @@ class FullFit:
     def sigma_resistance(self) -> float:
         """Ohm."""
         return self.sigma(RESISTANCE)
-
-
-def sigma(changes: FloatArray) -> FloatArray:
-    """Return the standard error (...) of a quantity from its changes (..., B) by batches of time.
-
-    Few passes of the trajectory determine a quantity, so the standard error is uncertain itself and is widened like
-    Student's distribution. The degrees of freedom follow from the fourth powers of the changes, which are three times
-    the squared variance for B normal ones.
-    """
-    squares = changes**2
-    total = squares.sum(axis=-1)
-    freedom = 3 * total**2 / np.maximum(np.sum(squares**2, axis=-1), TINY)
-    return np.asarray(np.sqrt(total) * (1 + _STUDENT / np.maximum(freedom, _FEWEST)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -300,7 +269,7 @@ def _weakest(model: FullModel, solution: FullSolution, changes: FloatArray) -> s
         errors = np.maximum(sigma(changes[own]), TINY)
         ratios[name] = float(np.max(np.abs(solution.estimate[own]) / errors))
     weakest = min(ratios, key=lambda name: ratios[name], default=None)
-    return weakest if weakest is not None and ratios[weakest] < _SIGNIFICANCE else None
+    return weakest if weakest is not None and ratios[weakest] < SIGNIFICANCE else None
 
 
 def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows]) -> float:
@@ -309,78 +278,6 @@ def _drop_slope(model: FullModel, solution: FullSolution, kept: Sequence[Windows
     step = _SLOPE_STEP * model.i_max
     sides = [(model.shapes(i_abc + sign * step) @ heights).mean() for sign in (1, -1)]
     return float(sides[0] - sides[1]) / (2 * step)
-
-
-def residual_statistics(
-    sums: WindowSums, solution: FullSolution, noise: CurrentNoise
-) -> tuple[FloatArray, FloatArray, FloatArray, LackOfFit]:
-    """Evaluate the residuals of the kept windows.
-
-    Returns
-    -------
-    changes : (size, B) float
-        Change of the estimate by each batch.
-    energy : (B,) float
-        Comparable energy of each batch, (Vs)^2: the mean square residual, divided by what current noise causes in these
-        windows where that is above average.
-    time : (B,) float
-        s.
-    misfit : LackOfFit
-    """
-    model, kept = sums.model, sums.kept()
-    through = sparse.csr_array(sparse.hstack([solution.basis, solution.estimate[:, None]]))
-    covariance = solution.white_covariance  # cached before the threads start
-
-    def evaluated(segments: Sequence[Windows]) -> tuple[list[list[_Batch]], GroupSums]:
-        batches, groups = [], GroupSums(solution.basis.shape[1])
-        for segment in segments:
-            rows = model.design_times(segment, through, solution.spec.orders)
-            expected = noise.expected(model, solution.estimate, segment)
-            batches.append(_batch_scores(solution, covariance, segment, rows, expected))
-            groups.add(segment, rows, expected, model.i_max)
-        return batches, groups
-
-    parts = in_threads(evaluated, [kept[number::MOST_THREADS] for number in range(MOST_THREADS)])
-    (_, groups), *others = parts
-    for _, other in others:
-        groups.merge(other)
-    in_order = (batches for together in zip_longest(*(part for part, _ in parts), fillvalue=()) for batches in together)
-    scores, energy, square, time = (np.array(x) for x in zip(*chain.from_iterable(in_order), strict=True))
-    share = sums.windows / max(sum(len(segment) for segment in kept), 1)
-    usual = max(float(square.mean()), np.finfo(np.float64).tiny)
-    changes = np.asarray(solution.basis @ solution.gain(np.sqrt(share) * scores.T))
-    energy /= np.maximum(square / usual, 1.0)
-    return changes, energy, time, groups.lack_of_fit(model, solution, share)
-
-
-def _batch_scores(
-    solution: FullSolution, covariance: FloatArray, segment: Windows, rows: FloatArray, expected: FloatArray
-) -> list[_Batch]:
-    """Return of each batch the scores (ZT)'e (M,), mean square residual, (Vs)^2, mean of ``expected``, and time, s.
-
-    ``rows`` (N, 2, M + 1) are ZT and, last, the residuals r. The residuals e are corrected for leverage by CR2,
-    ``e = (I - H)^{-1/2} r`` with ``H = Z cov Z'``, through the binomial series, which bounds the factor on residuals of
-    full leverage.
-    """
-    residuals = rows[..., -1]
-    edges = [0, *(1 + np.flatnonzero(np.diff(segment.interval(BATCH)))), len(segment)]
-    out = []
-    for start, end in pairwise(edges):
-        forms = rows[start:end, :, :-1].reshape(-1, len(solution.scale))
-        met = np.flatnonzero(forms.any(axis=0))
-        forms, covered = forms[:, met], covariance[np.ix_(met, met)]
-        scale, score = solution.scale[met], forms.T @ residuals[start:end].ravel()
-        total = score.copy()
-        for k in range(1, _SERIES):
-            score = (k - 0.5) / k * (forms.T @ (forms @ (covered @ score)))
-            total += score
-            if np.linalg.norm(score / scale) < _CONVERGED * np.linalg.norm(total / scale):
-                break
-        all_scores = np.zeros(len(solution.scale))
-        all_scores[met] = total
-        energy, square, time = (float(x[start:end].mean()) for x in (residuals**2, expected, segment.time))
-        out.append((all_scores, energy, square, time))
-    return out
 
 
 def enforce_passivity(solver: Solver, solution: FullSolution) -> FullSolution:

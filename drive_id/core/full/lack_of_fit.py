@@ -17,11 +17,8 @@ import numpy as np
 from scipy import sparse
 
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.effect_search import effect_savings
 from drive_id.core.full.model import FullModel
-from drive_id.core.full.selection import explained_shares
-from drive_id.core.full.solver import FullSolution, Solver
-from drive_id.core.full.window_sums import WindowSums
+from drive_id.core.full.solver import FullSolution
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.coverage import smoothed
 from drive_id.types import TINY, FloatArray, IntArray
@@ -123,21 +120,6 @@ class GroupSums:
             missed=missed_flux(fluxes),
             changes=np.concatenate(changes, axis=1) if changes else np.zeros((model.size, 0)),
         )
-
-
-def tested_causes(sums: WindowSums, solver: Solver, solution: FullSolution, effects: Sequence[str]) -> dict[str, float]:
-    """Return the share of the squared residuals that each possible cause would explain.
-
-    Keys are the names of ``effects`` that are not in the solution, ``devices`` for drops that differ between the
-    phases, and ``harmonic h`` for the rotor-position harmonic that explains most.
-    """
-    model, kept = sums.model, sums.kept()
-    period = float(kept[0].period[0])
-    causes = effect_savings(solver, solution, [name for name in effects if name not in solution.spec.effects], period)
-    causes["devices"] = solver.saving(solution, slice(model.drops.start, model.drops.start + 3 * model.shapes.usual))[0]
-    shares = explained_shares(model, solution.estimate, kept)
-    causes[f"harmonic {1 + int(shares.argmax())}"] = float(shares.max())
-    return causes
 
 
 def _add_by(group: IntArray, totals: Sequence[FloatArray], values: Sequence[FloatArray]) -> None:

@@ -12,15 +12,25 @@ from drive_id.core.full.delay import estimate_delay
 from drive_id.core.full.effect_search import (
     LEAST_BESIDE,
     EffectSearch,
+    effect_savings,
     plausible_effects,
     search_effects,
     turning,
     with_effects_only,
 )
 from drive_id.core.full.effects import OF_SENSORS
-from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, FullModel, ModelSpec
+from drive_id.core.full.model import (
+    EFFECTS,
+    MOST_RECORDINGS,
+    MOST_RUNS,
+    PENALTIES,
+    RESISTANCE,
+    FullModel,
+    ModelSpec,
+)
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
 from drive_id.core.full.solver import LEAST_SAVED, CurrentNoise, FullSolution, Solver, better_on_most_folds, predictable
+from drive_id.core.full.standard_errors import SIGNIFICANCE, residual_statistics, sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.full.zero_crossings import between_crossings
@@ -43,8 +53,6 @@ _ORDER_SIGNIFICANCE = 2.0
 """Mean square of a harmonic's amplitudes, relative to their variances: 1 for an absent one."""
 _LEAST_HARMONIC = 1e-4
 """Rms amplitude relative to the largest flux: without noise, the misfit of the inverter's curve looks like less."""
-_BY_WIDTH = 6.0
-"""Standard errors, for white residuals, by which R must change with a wider inverter curve."""
 _COINCIDENCE = 0.1
 """Orders by which two harmonics, as the samples see them, may differ and still be one within a record."""
 _LEAST_HEATING = 5.0
@@ -306,7 +314,7 @@ def _first_candidate(
         final = solver.solve(spec)
         plausible = plausible_effects(final, solver.model, noise.period)
         if plausible == spec.effects:
-            wide = _with_wide_curve(solver, final)
+            wide = _with_wide_curve(search, final, noise)
             if wide is not final:
                 spec, error = solver.best_penalty(wide.spec)
                 final = solver.solve(spec)
@@ -361,18 +369,26 @@ def _with_early_steps(solver: Solver, solution: FullSolution, least: float = 0.0
     return solver.solve(replace(solution.spec, crossing=True))
 
 
-def _with_wide_curve(solver: Solver, solution: FullSolution) -> FullSolution:
+def _with_wide_curve(search: EffectSearch, solution: FullSolution, noise: CurrentNoise) -> FullSolution:
     """Add wide shapes to the inverter's curve, as long as each changes R by more than noise does.
 
-    R takes a part of a drop that still bends at large currents. Which part depends on the shapes.
+    R takes a part of a drop that still bends at large currents. Which part depends on the shapes. Near zero current,
+    the curve amplifies noise, which is not white then.
     """
     for wide in (1, 2) if solution.spec.inverter else ():
-        wider = solver.solve(replace(solution.spec, wide=wide))
-        noise = np.sqrt(abs(wider.variance_of_resistance - solution.variance_of_resistance))
-        if abs(wider.resistance - solution.resistance) < _BY_WIDTH * noise:
+        wider = search.solver.solve(replace(solution.spec, wide=wide))
+        white = np.sqrt(abs(wider.variance_of_resistance - solution.variance_of_resistance))
+        least = abs(wider.resistance - solution.resistance) / SIGNIFICANCE
+        if least < white or least < _sigma_of_change(search.sums, solution, wider, noise):
             break
         solution = wider
     return solution
+
+
+def _sigma_of_change(sums: WindowSums, solution: FullSolution, other: FullSolution, noise: CurrentNoise) -> float:
+    """Return the standard error of the change of R from one solution to another, ohm."""
+    one, two = (residual_statistics(sums, each, noise)[0][RESISTANCE] for each in (solution, other))
+    return float(sigma(two - one))
 
 
 def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
@@ -504,3 +520,18 @@ def unexpected_orders(
     least = max(_LEAST_SHARE, _ABOVE_OTHERS * float(np.median(shares)))
     strongest = 1 + np.argsort(shares)[::-1]
     return tuple(int(order) for order in strongest if shares[order - 1] > least and order not in known)
+
+
+def tested_causes(sums: WindowSums, solver: Solver, solution: FullSolution, effects: Sequence[str]) -> dict[str, float]:
+    """Return the share of the squared residuals that each possible cause would explain.
+
+    Keys are the names of ``effects`` that are not in the solution, ``devices`` for drops that differ between the
+    phases, and ``harmonic h`` for the rotor-position harmonic that explains most.
+    """
+    model, kept = sums.model, sums.kept()
+    period = float(kept[0].period[0])
+    causes = effect_savings(solver, solution, [name for name in effects if name not in solution.spec.effects], period)
+    causes["devices"] = solver.saving(solution, slice(model.drops.start, model.drops.start + 3 * model.shapes.usual))[0]
+    shares = explained_shares(model, solution.estimate, kept)
+    causes[f"harmonic {1 + int(shares.argmax())}"] = float(shares.max())
+    return causes

@@ -14,9 +14,9 @@ from drive_id.core.full.effect_report import OUTLYING, effect_entries, misfit_wa
 from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
-from drive_id.core.full.fit import sigma as fitted_sigma
 from drive_id.core.full.model import MAGNET, RESISTANCE
 from drive_id.core.full.resolution import FLUX_CELLS
+from drive_id.core.full.standard_errors import sigma as fitted_sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE, Windows
 from drive_id.core.maps.coverage import smoothed

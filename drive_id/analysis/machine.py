@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 _MARGIN = 1.25  # reach of the map, in i_max; a trajectory or a controller's overshoot may need more than the data cover
 _ANGLES = 180  # over a half turn of the current, for the fundamental of the drop and the rim of the disc
 _FEWEST = 16  # points with data from which a map can be continued
+_RIM = 1.001
+"""Current relative to i_max that counts as i_max."""
 
 
 @dataclass(frozen=True)
@@ -178,8 +180,17 @@ class MachineModel:
         )
 
     def inside(self, i_d: ArrayLike, i_q: ArrayLike) -> BoolArray:
-        """Return (...) where the map rests on data; elsewhere it is extrapolated."""
-        return np.isfinite(self.flux_map.psi_dq(i_d, i_q)[0])
+        """Return (...) where the map rests on data; elsewhere it is extrapolated.
+
+        At i_max, which an experiment just reaches, grid cells have corners without data: there, the current that is one
+        cell nearer to zero decides.
+        """
+        d, q = _currents(i_d, i_q)
+        size = np.hypot(d, q)
+        cell = np.hypot(*(np.diff(axis).max() for axis in (self.flux_map.i_d, self.flux_map.i_q)))
+        rim = (size > self.i_max - cell) & (size <= _RIM * self.i_max)
+        inward = np.where(rim, 1 - cell / np.maximum(size, cell), 1.0)
+        return np.isfinite(self.flux_map.psi_dq(inward * d, inward * q)[0])
 
     def psi_dq(self, i_d: ArrayLike, i_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return psi_d and psi_q (...), Wb, averaged over the rotor position."""
@@ -339,7 +350,7 @@ class MachineModel:
         turn = np.linspace(0, 2 * np.pi, _ANGLES, endpoint=False)
         rim = self.i_max * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
         points = np.concatenate([self.flux_map.grid().reshape(-1, 2), rim])
-        kept = (np.hypot(*points.T) <= 1.001 * self.i_max) & self.inside(*points.T)
+        kept = (np.hypot(*points.T) <= _RIM * self.i_max) & self.inside(*points.T)
         found = self.control_inductances(*points[kept].T)
         return float(np.linalg.eigvalsh(0.5 * (found + np.swapaxes(found, -1, -2)))[:, 0].min())
 

@@ -109,6 +109,20 @@ def test_inside_tells_where_there_are_data():
     assert model.psi_dq(260.0, 30.0)[0] == pytest.approx(MachineModel.of(result).psi_dq(260.0, 30.0)[0], rel=0.03)
 
 
+def test_all_currents_of_i_max_lie_inside_where_the_disc_is_covered():
+    """Of the rim, 15 % lie in grid cells with a corner beyond the disc: they were told to be without data."""
+    result = exact_result(machine_map("ipm"))
+    grid = result.flux_map.grid()
+    angle = np.linspace(0.0, 2 * np.pi, 721)
+    rim = result.i_max * np.cos(angle), result.i_max * np.sin(angle)
+    for covered in (result.i_max, 0.9 * result.i_max):
+        disc = np.hypot(grid[..., 0], grid[..., 1]) <= covered
+        flux_map = replace(result.flux_map, inside=disc)
+        model = MachineModel.of(replace(result, drive=replace(result.drive, flux_map=flux_map)))
+        assert model.inside(*rim).all() == (covered == result.i_max)
+        assert not model.inside(1.01 * rim[0], 1.01 * rim[1]).all()
+
+
 def test_the_drop_takes_the_power_that_the_phases_lose():
     def drop(i):
         return 4.0 * np.tanh(i / 3.0) + 0.5 * np.tanh(i / 40.0)

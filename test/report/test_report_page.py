@@ -385,6 +385,7 @@ def test_the_pdf_holds_the_same_words_within_its_pages(full_like, tmp_path, monk
     monkeypatch.setattr(pdf.PdfPages, "savefig", lambda _self, figure, **_: pages.append(figure))
     warnings = tuple(Message.told(f"Warning {number} of a report, {'long ' * 40}$x$ <b>.") for number in range(30))
     provenance = replace(full_like.provenance, warnings=warnings, machine=HOSTILE, inputs={"/long" * 60: "0" * 64})
+    provenance = replace(provenance, u_dc=400.0)
     path = tmp_path / "report.html"
     replace(full_like, provenance=provenance).report(path, pdf=True)
     assert len(pages) > 4
@@ -399,7 +400,7 @@ def test_the_pdf_holds_the_same_words_within_its_pages(full_like, tmp_path, monk
         f"page 1 of {len(pages)}",
     ):
         assert wanted in words, wanted
-    assert sum(len(page.axes) for page in pages) == 6
+    assert sum(len(page.axes) for page in pages) == 7  # that of the efficiency, too
     for page in pages:
         renderer = page.canvas.get_renderer()
         width, height = page.bbox.width, page.bbox.height
@@ -439,6 +440,17 @@ def test_the_efficiency_is_that_of_the_power_balance(fitted):
     assert 50 < expected < 99.9
     assert speeds["efficiency"][row][column] == pytest.approx(expected, abs=0.05)
     assert speeds["iron"] is False
+
+
+def test_the_efficiency_is_known_up_to_the_largest_torque(fitted):
+    """Its currents lie at the rim of the data, whose grid cells have corners beyond."""
+    flux_map = fitted.flux_map
+    whole = replace(flux_map, inside=np.hypot(*np.moveaxis(flux_map.grid(), -1, 0)) <= fitted.i_max)
+    drive, provenance = replace(fitted.drive, flux_map=whole), replace(fitted.provenance, u_dc=400.0)
+    speeds = page_of(replace(fitted, drive=drive, provenance=provenance)).data("charts")["operation"]["speeds"]
+    below = np.array(speeds["torque"])[:, None] <= speeds["largest"]
+    assert below.sum() > 200
+    assert np.isfinite(np.array(speeds["efficiency"], float)[below]).all()
 
 
 def test_the_drop_is_told_as_a_dead_time(fitted):

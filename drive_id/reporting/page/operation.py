@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d
 
 from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelope, references, top_speed
 from drive_id.analysis.machine import MachineModel
@@ -19,8 +20,6 @@ _WEAKENING = 4.0
 _SPEEDS = 32  # of the efficiency map, evenly up to the highest
 _TORQUES = 20
 """Points along the axes of the efficiency map: finer ones look the same, and take seconds."""
-_SAME = 1e-6
-"""Relative excess over the envelope within which a torque counts as reached."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +31,8 @@ class SpeedMap:
     largest: FloatArray  # (S,), torque of the envelope, Nm
     torque: FloatArray  # (N,), Nm
     efficiency: FloatArray
-    """(S, N), shaft over electrical power, mechanical losses aside; NaN beyond the envelope and without data."""
+    """(S, N), shaft over electrical power, mechanical losses aside; NaN without data. Just beyond the envelope
+    it is that of the envelope, so that a drawn field reaches it; NaN further on."""
     iron: bool  # the losses hold an identified iron loss, beside those of the winding and the inverter
 
 
@@ -86,9 +86,8 @@ def _speed_map(result: Result, model: MachineModel) -> SpeedMap | None:
     ends = [envelope(model, limits, speed, sign=sign) for sign in (1.0, -1.0)]
     torque = np.nanmax(ends[0].torque) * np.arange(1, _TORQUES + 1) / _TORQUES
     points = references(model, limits, torque, *ends)
-    kept = torque <= ends[0].torque[:, None] * (1 + _SAME)
-    known = kept & points.inside(model)
-    efficiency = np.where(known, points.efficiency, np.nan)
+    drawn = torque - torque[0] <= maximum_filter1d(ends[0].torque, 3)[:, None]
+    efficiency = np.where(drawn & points.inside(model), points.efficiency, np.nan)
     return SpeedMap(u_dc, speed, ends[0].torque, torque, efficiency, model.iron.known)
 
 

@@ -56,7 +56,9 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
         sheets.text(content.missing.get(name, ""))
         sheets.picture(figures.get(name))
     sheets.table(content.operation, (0.3, 0.12, 0.12, 0.12, 0.14, 0.2))
-    sheets.text(content.missing.get("mtpv", ""))
+    for name in ("efficiency", "mtpv"):
+        sheets.text(content.missing.get(name, ""))
+        sheets.picture(figures.get(name))
     sheets.heading(SECTIONS["identifiable"])
     for heading, found in content.knowledge.items():
         sheets.text(f"{heading}:" if found else "", bold=True)

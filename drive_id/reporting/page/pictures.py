@@ -101,8 +101,10 @@ def _draw_efficiency(speeds: SpeedMap) -> Figure:
     if len(steps) > 1:
         filled = axes.contourf(rpm, speeds.torque, values, levels=steps, cmap=COLOURS, extend="min")
         add_colour_bar(axes, filled, steps, [f"{step:.1f}" for step in steps])
+    top = 1.05 * np.nanmax(speeds.largest)
+    axes.fill_between(rpm, speeds.largest, top, color=axes.get_facecolor())
     axes.plot(rpm, speeds.largest, color="black", linewidth=1.2, label="largest torque")
-    axes.set(xlim=(0, rpm[-1]), ylim=(0, 1.05 * np.nanmax(speeds.largest)))
+    axes.set(xlim=(0, rpm[-1]), ylim=(0, top))
     axes.legend(fontsize=SMALL, loc="upper right")
     return figure
 

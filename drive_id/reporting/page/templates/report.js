@@ -340,8 +340,11 @@
     if (known.length) field.zmin = known[Math.floor(0.05 * known.length)];  // the edge near zero torque would take all colours
     const edge = { type: "scatter", mode: "lines", x: speed, y: largest, name: "largest torque", showlegend: true,
       line: { color: "#ff5a36", width: 3 }, hovertemplate: "%{x:.5g} rpm, %{y:.4g} Nm<extra></extra>" };
-    const axes = { xaxis: axis("speed / rpm", { rangemode: "tozero" }), yaxis: axis("torque / Nm", { rangemode: "tozero" }) };
-    return Plotly.react("chart-efficiency", [field, edge], layout(axes), config);
+    const top = 1.05 * Math.max(...largest);
+    const beyond = { type: "scatter", mode: "none", x: [...speed, speed.at(-1), speed[0]], y: [...largest, top, top], fill: "toself",
+      fillcolor: colour("page"), hoverinfo: "skip", showlegend: false };
+    const axes = { xaxis: axis("speed / rpm", { range: [0, speed.at(-1)] }), yaxis: axis("torque / Nm", { range: [0, top] }) };
+    return Plotly.react("chart-efficiency", [field, beyond, edge], layout(axes), config);
   }
 
   const PLANES = ["map", "comparison", "operation"];

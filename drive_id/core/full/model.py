@@ -251,9 +251,13 @@ class FullModel:
 
     def coarse_drop(self, estimate: FloatArray) -> FloatArray:
         """Return the coefficients (L,) of the coarse shapes whose sum is the mean drop of the phases, V."""
+        return np.asarray(self._coarsened @ estimate[self.phase_columns()].mean(axis=1))
+
+    @cached_property
+    def _coarsened(self) -> FloatArray:
+        """Coefficients (L, S) of the coarse shapes that fit each shape best."""
         current = self.i_max * np.linspace(0.0, 1.0, _CURVE_POINTS) ** 2
-        drop = (self.shapes(current) @ estimate[self.phase_columns()]).mean(axis=1)
-        return np.asarray(np.linalg.lstsq(self.shapes.coarse(current), drop)[0])
+        return np.asarray(np.linalg.lstsq(self.shapes.coarse(current), self.shapes(current))[0])
 
     def contains(self, windows: Windows) -> BoolArray:
         """Tell (N,) which windows start and end within the range of the map."""
@@ -266,14 +270,14 @@ class FullModel:
         They come in groups of windows that are close in current: these share most nonzero basis functions.
         """
         order, edges = _neighbours(windows.i_dq.reshape(len(windows), -1))
-        windows = windows.part(order)
-        beside = np.zeros((len(windows), 2, self.summed.start))
-        self._beside_flux(windows, beside)
-        ends = list(self._ends(windows, self.summed, self.orders))
+        beside = self._beside_flux(windows)
+        known = np.flatnonzero(beside.any(axis=(0, 1)))
+        beside = beside.take(known, axis=2)
+        ends = list(self._ends(windows.i_dq[order], windows.angle[order], self.summed, self.orders))
         spaces, size = len(ends) // 2, self.summed.size
         one_each, place, shares = np.arange(size + 1, dtype=np.int32), np.zeros(size, np.int32), np.ones(size)
         for group in (slice(*each) for each in pairwise(edges)):
-            columns = [np.flatnonzero(beside[group].any(axis=(0, 1)))]
+            columns = [known]
             for both in zip(ends[:spaces], ends[spaces:], strict=True):
                 met = [column[group] for _, column, *_ in both]
                 used = np.zeros(1 + max(int(column.max()) for column in met), np.bool_)
@@ -283,11 +287,11 @@ class FullModel:
             indices = np.concatenate(columns)
             place[indices] = np.arange(len(indices))
             out = np.zeros((group.stop - group.start, 2, len(indices)))
-            out[:, :, : len(columns[0])] = beside[group][:, :, columns[0]]
+            out[:, :, : len(known)] = beside[order[group]]
             for turn, column, value, start, factor in ends:
                 of_group = column[group], value[group], turn[group], start, factor[:, group].copy()
                 add_end(*of_group, one_each, place, shares, out)
-            rows = _weighted(out, None if windows.weight is None else windows.weight[group])
+            rows = _weighted(out, None if windows.weight is None else windows.weight[order[group]])
             yield rows.reshape(-1, out.shape[2]), indices
 
     def residuals(self, windows: Windows, estimate: FloatArray) -> FloatArray:
@@ -297,14 +301,12 @@ class FullModel:
 
     def design_times(self, windows: Windows, t: sparse.csr_array, orders: Sequence[int]) -> FloatArray:
         """Return Z T (N, 2, M) for T (size, M) without forming Z; the rows of T of other ``orders`` are empty."""
-        before = self.map.start
         out = np.zeros((len(windows), 2, t.shape[1]))
-        beside = t[:before].toarray()
+        known = self._beside_flux(windows)
+        beside = t[: known.shape[2]].toarray()
         used, met = np.flatnonzero(beside.any(axis=0)), np.flatnonzero(beside.any(axis=1))
-        known = np.zeros((len(windows), 2, before))
-        self._beside_flux(windows, known)
         out[:, :, used] = known[:, :, met] @ beside[np.ix_(met, used)]
-        for turn, column, value, start, factor in self._ends(windows, self.columns, orders):
+        for turn, column, value, start, factor in self._ends(windows.i_dq, windows.angle, self.columns, orders):
             add_end(column, value, turn, start, factor, t.indptr, t.indices, t.data, out)
         return _weighted(out, windows.weight)
 
@@ -316,9 +318,10 @@ class FullModel:
         empty = np.zeros((2, self.flux.parameters))
         return sum_of_squares(first.column, next(values), last.column, next(values), turn, empty)
 
-    def _beside_flux(self, windows: Windows, out: FloatArray) -> None:
-        """Fill the columns before those of the flux of rows (N, 2, map.start or more) of zeros."""
+    def _beside_flux(self, windows: Windows) -> FloatArray:
+        """Return the columns (N, 2, K) before those of the flux, or before the effects if the windows have none."""
         count, drops = len(windows), self.drops
+        out = np.zeros((count, 2, self.effects.start if windows.effects is None else self.map.start))
         known = np.concatenate(
             [windows.voltage[:, None], (windows.current * (1 + COPPER * windows.heating))[:, None]], axis=1
         )
@@ -336,16 +339,16 @@ class FullModel:
         out[:, 0, self.crossing], out[:, 1, self.crossing] = windows.crossing.real, windows.crossing.imag
         if windows.effects is not None:
             out[:, 0, self.effects], out[:, 1, self.effects] = windows.effects.real, windows.effects.imag
+        return out
 
     def _ends(
-        self, windows: Windows, layout: Layout, orders: Sequence[int]
+        self, i_dq: FloatArray, angle: FloatArray, layout: Layout, orders: Sequence[int]
     ) -> Iterator[tuple[FloatArray, ColumnArray, FloatArray, IntArray, FloatArray]]:
         """Yield the flux at both ends of all windows, space by space, as arguments of the kernels."""
         for end, sign in ((0, -1.0), (1, 1.0)):
-            angle = windows.angle[:, end]
-            turn = sign * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-            for space, maps in layout.maps(angle, orders).items():
-                rows = space.rows(windows.i_dq[:, end])
+            turn = sign * np.stack([np.cos(angle[:, end]), np.sin(angle[:, end])], axis=1)
+            for space, maps in layout.maps(angle[:, end], orders).items():
+                rows = space.rows(i_dq[:, end])
                 start, factor = np.array([start for start, _ in maps]), np.array([factor for _, factor in maps])
                 yield turn, rows.column, rows.value, start, factor
 

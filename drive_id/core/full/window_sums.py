@@ -52,7 +52,7 @@ class WindowSums:
         self.model = model
         self.windows = 0
         self.outside = 0
-        self._cutter = WindowCutter(model.shapes, short=True)
+        self._cutter = WindowCutter(model.shapes, short=SEGMENT)
         self._folds: list[FloatArray] = []
         self._shared: set[int] = set()  # folds shared with a copy
         self._squares = np.zeros(FOLDS)  # of the columns of a free map, where those of the sums are reciprocal
@@ -349,8 +349,7 @@ class WindowSums:
         self._pending = []
         if windows is None or windows.short.all():
             return
-        fold, short = self._segment % FOLDS, windows.part(windows.short)
-        whole = windows.part(~windows.short) if len(short) else windows
+        fold, whole = self._segment % FOLDS, windows.part(~windows.short) if windows.short.any() else windows
         if form:
             self._due.append((fold, whole))
         self._some = None
@@ -358,6 +357,7 @@ class WindowSums:
         self.windows += len(whole)
         self._last = self._segment
         if self._segment % self._every == 0:
+            short = windows.part(windows.short)
             for known, new in ((self._kept, whole), (self._short, short)):
                 known[self._segment] = Windows.joined([known[self._segment], new] if self._segment in known else [new])
             self._thin()
@@ -398,6 +398,7 @@ class WindowSums:
             for known in (self._kept, self._short):
                 for number in [number for number in known if number % self._every]:
                     del known[number]
+        self._cutter.short_every = self._every  # those of other segments would be dropped
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,7 +127,7 @@ class Windows:
 
     def interval(self, length: float) -> IntArray:
         """Return the number (N,) of the interval of ``length`` seconds in which each window starts."""
-        return np.asarray((self.time + _ROUNDING) / length).astype(np.int64)
+        return _interval(self.time, length)
 
     def part(self, selected: slice | IntArray | BoolArray) -> Windows:
         """Return some of the windows."""
@@ -208,13 +208,14 @@ class WindowCutter:
     ----------
     shapes : CapacitiveShapes
         Of the inverter.
-    short : bool
+    short : float, optional
         Cut short windows as well, from the same beginnings: those without a zero crossing of a phase current, those
-        at small current, and a quarter of the others.
+        at small current, and a quarter of the others. They begin in every :attr:`short_every`-th interval of so many s.
     """
 
-    def __init__(self, shapes: CapacitiveShapes, *, short: bool = False) -> None:
+    def __init__(self, shapes: CapacitiveShapes, short: float | None = None) -> None:
         self._shapes, self._short = shapes, short
+        self.short_every = 1
         self._heating, self._drop_scale = 0.0, 1.0
         self._turned = self._heat = 0.0  # up to the last sample, rad and A^2 s
         self._lagged = np.zeros(len(LAGS), np.complex128)  # at the last sample, A
@@ -336,8 +337,9 @@ class WindowCutter:
         if moving.any():
             begin_used, end_used = begin_used[moving], end_used[moving]
             whole, sums = len(begin_used), _Sums.over(stretch, self._period, self._shapes.coarse)
-            if self._short:
-                begin_used, end_used = self._with_short(stretch, sums, begin_used, end_used)
+            if self._short is not None:
+                wanted = _interval(self._time + self._period * begin_used, self._short) % self.short_every == 0
+                begin_used, end_used = self._with_short(stretch, sums, begin_used, end_used, wanted)
             yield self._windows(stretch, sums, begin_used, end_used, np.arange(len(begin_used)) >= whole)
         self._number += count
         grain = spacing(self._period)
@@ -369,16 +371,21 @@ class WindowCutter:
         """Samples from one to the next over which the way of rotor and current is taken."""
         return max(1, round(_WAY_STEP / self._period))
 
-    def _with_short(self, stretch: _Stretch, sums: _Sums, begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
-        """Append the places of the short windows."""
-        grain = spacing(self._period)
+    def _with_short(
+        self, stretch: _Stretch, sums: _Sums, begin: IntArray, end: IntArray, wanted: BoolArray
+    ) -> tuple[IntArray, IntArray]:
+        """Append the places of the short windows among the wanted ones."""
+        grain, places = spacing(self._period), (begin, end)
+        begin, end = begin[wanted], end[wanted]
+        if not len(begin):
+            return places
         turns = np.rint((end - begin) * (SHORT_ANGLE / WINDOW_ANGLE) / grain).astype(np.int64)
         sooner = begin + grain * np.maximum(turns, 1)
         current = np.maximum(np.abs(stretch.i_s[begin]), np.abs(stretch.i_s[sooner]))
         scales = self._shapes.scales
         useful = (sums.clearance(begin, sooner) > scales[1]) | (current < scales[self._shapes.usual - 1])
         useful |= (self._origin + begin) // grain % _SOME == 0
-        return np.append(begin, begin[useful]), np.append(end, sooner[useful])
+        return np.append(places[0], begin[useful]), np.append(places[1], sooner[useful])
 
     def _windows(self, stretch: _Stretch, sums: _Sums, begin: IntArray, end: IntArray, short: BoolArray) -> Windows:
         period, grain = self._period, spacing(self._period)
@@ -402,7 +409,7 @@ class WindowCutter:
             duration=period * (end - begin).astype(np.float64),
             shifted=np.stack([period * (u_s[end + shift] - u_s[begin + shift]) for shift in SHIFTS], axis=1),
             shape=shape[end // grain] - shape[begin // grain],
-            lag=self._lag(stretch, begin // grain, end // grain),
+            lag=self._lag(stretch, shape, begin // grain, end // grain),
             crossing=sums.crossing[end] - sums.crossing[begin],
             sensed=sums.sensed[end] - sums.sensed[begin],
             heating=heating,
@@ -423,14 +430,14 @@ class WindowCutter:
             short=short,
         )
 
-    def _lag(self, stretch: _Stretch, begin: IntArray, end: IntArray) -> ComplexArray:
-        """Return the integrals (N, L), see :class:`Windows`, between ends given in grains."""
-        grain, shapes = spacing(self._period), self._shapes.coarse
-        i_s, angle = stretch.i_s, stretch.angle
+    def _lag(self, stretch: _Stretch, shape: FloatArray, begin: IntArray, end: IntArray) -> ComplexArray:
+        """Return the integrals (N, L), see :class:`Windows`, from those of all shapes (G, S, 3), ends in grains."""
+        grain, angle = spacing(self._period), stretch.angle
         places = np.arange(0, len(angle), grain)
         earlier = np.maximum(places - 1, 0)
-        before = i_s[earlier] * np.exp(1j * (angle[places] - angle[earlier]))
-        now, then = (shapes.integrals(frames.phases(x), self._period * grain) for x in (i_s[places], before))
+        before = stretch.i_s[earlier] * np.exp(1j * (angle[places] - angle[earlier]))
+        then = self._shapes.coarse.integrals(frames.phases(before), self._period * grain)
+        now = shape[:, : self._shapes.usual : 2]
         return frames.space_vector((now[end] - now[begin]) - (then[end] - then[begin]))
 
 
@@ -593,6 +600,11 @@ def _integrate(
                 for effect in range(5):
                     sensed[k, number, effect, 0] += share * moved[effect] * cosine
                     sensed[k, number, effect, 1] += share * moved[effect] * sine
+
+
+def _interval(time: FloatArray, length: float) -> IntArray:
+    """Return the number (N,) of the interval of ``length`` seconds of each time (N,), s."""
+    return np.asarray((time + _ROUNDING) / length).astype(np.int64)
 
 
 def _complex(pairs: FloatArray) -> ComplexArray:

@@ -16,7 +16,7 @@ from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE, WindowCutter, 
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.core.result.identify import gather
 
-SETTINGS = FitSettings("full", i_max=300.0, search_orders=False)
+SETTINGS = FitSettings("full", i_max=300.0, harmonic_orders=(), search_orders=False)
 SHAPES = CapacitiveShapes.up_to(300.0)
 RESISTANCE, NEAR, STUCK = 0.02, 4.0, 8.0
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import record
+from synthetic import reciprocal_flux, record
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
@@ -27,7 +27,7 @@ def drop(i_abc):
 
 @pytest.fixture(scope="module")
 def good():
-    return record(duration=4.0, noise=0.3, drop=drop)
+    return record(reciprocal_flux, duration=4.0, noise=0.3, drop=drop)
 
 
 @pytest.fixture(scope="module")

@@ -25,8 +25,12 @@ from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources
 
-GROUPS = {"test/nodes/test_live": "drives", "test/nodes/test_first": "drives", "test/nodes/": "nodes"}
-"""Tests that run one after another on one worker, as they have deadlines; they mostly wait, so they come first."""
+DRIVES = ("test/ros/", *(f"test/nodes/test_{name}" for name in ("first", "identif", "live")))
+GROUPS = dict.fromkeys(DRIVES, "drives") | {"test/nodes/": "nodes"}
+"""Tests that run one after another on one worker, as they have deadlines; they mostly wait, so they come first.
+
+Both groups take about as long.
+"""
 LAST = (
     "test/fitting/test_full_accuracy.py",
     "test/fitting/test_full_with_rests.py",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -672,15 +673,16 @@ ASSIGNMENTS = {
 """What ``--set`` says for each effect, with what it needs besides to show."""
 
 
-def signals(assignments: list[str]) -> tuple[Simulation, SimulationSettings]:
-    settings = merged_settings(SimulationSettings, None, assignments, {})
+@cache
+def signals(*assignments: str) -> tuple[Simulation, SimulationSettings]:
+    settings = merged_settings(SimulationSettings, None, [*assignments], {})
     return simulate(IPM, settings, np.tile((-100.0, 120.0), (900, 1))), settings
 
 
 @pytest.mark.parametrize("assignment", ASSIGNMENTS)
 def test_every_effect_is_set_by_name_changes_the_log_and_is_in_the_truth(assignment):
-    without, _ = signals(ASSIGNMENTS[assignment])
-    simulation, settings = signals([*ASSIGNMENTS[assignment], assignment])
+    without, _ = signals(*ASSIGNMENTS[assignment])
+    simulation, settings = signals(*ASSIGNMENTS[assignment], assignment)
     name = assignment.partition("=")[0]
     pairs = [
         (getattr(without.samples, x), getattr(simulation.samples, x))

@@ -290,12 +290,12 @@ def repeated(path: Path, samples, times: int) -> Path:
 
 
 def test_memory_does_not_grow_with_the_recording(simulation, tmp_path):
-    """A recording of 3 minutes against one of a minute; the shorter one is too long to be kept as a whole already.
+    """A recording of 80 s against one of 20 s; the shorter one is too long to be kept as a whole already.
 
     Without the thread that reads ahead: how many of its few pieces wait at the peak is up to the scheduler.
     """
     measured = []
-    for times in (30, 90):
+    for times in (10, 40):
         path = repeated(tmp_path / f"bag_{times}", simulation.samples, times)
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
         ran = subprocess.run(
@@ -305,5 +305,5 @@ def test_memory_does_not_grow_with_the_recording(simulation, tmp_path):
         assert samples == times * len(simulation.samples)
         measured.append((traced, resident))
     (traced_short, resident_short), (traced_long, resident_long) = measured
-    assert traced_long < 1.1 * traced_short
-    assert resident_long < 1.2 * resident_short
+    assert traced_long < 1.05 * traced_short  # 10 bytes of a sample would show
+    assert resident_long < 1.1 * resident_short

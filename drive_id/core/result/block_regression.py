@@ -83,10 +83,13 @@ class BlockRegression:
         total, count, chosen = data.T @ data, len(data), data[:, columns]
         coefficients, inverse = _solved(total, response, columns)
         residual = data[:, response] - chosen @ coefficients
-        for first in range(0, count, block):
-            rows = slice(first, first + block)
-            shares, modes = np.linalg.eigh(chosen[rows] @ inverse @ chosen[rows].T)
-            residual[rows] = modes @ (modes.T @ residual[rows] / (1 - np.minimum(shares, _LARGEST_LEVERAGE)))
+        whole = count - count % block
+        for rows, size in ((slice(0, whole), block), (slice(whole, count), count - whole)):
+            if size:
+                own, left = chosen[rows].reshape(-1, size, len(columns)), residual[rows].reshape(-1, size, 1)
+                shares, modes = np.linalg.eigh(own @ inverse @ own.swapaxes(1, 2))
+                left = modes.swapaxes(1, 2) @ left / (1 - np.minimum(shares, _LARGEST_LEVERAGE))[..., None]
+                residual[rows] = (modes @ left).ravel()
         scores = chosen * residual[:, None]
         waves = np.cos(np.pi * np.arange(1, cosines + 1)[:, None] * (np.arange(count) + 0.5) / count)
         amplitudes = np.sqrt(2 / cosines) * waves @ scores

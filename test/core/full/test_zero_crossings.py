@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import record
+from synthetic import reciprocal_flux, record
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
@@ -16,7 +16,7 @@ from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE, WindowCutter, 
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.core.result.identify import gather
 
-SETTINGS = FitSettings("full", i_max=300.0, search_orders=False)
+SETTINGS = FitSettings("full", i_max=300.0, harmonic_orders=(), search_orders=False)
 SHAPES = CapacitiveShapes.up_to(300.0)
 RESISTANCE, NEAR, STUCK = 0.02, 4.0, 8.0
 
@@ -27,7 +27,7 @@ def drop(i_abc):
 
 @pytest.fixture(scope="module")
 def good():
-    return record(duration=4.0, noise=0.3, drop=drop)
+    return record(reciprocal_flux, duration=4.0, noise=0.3, drop=drop)
 
 
 @pytest.fixture(scope="module")

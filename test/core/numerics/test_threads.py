@@ -86,7 +86,7 @@ def test_a_limit_costs_less_than_five_milliseconds():
 @pytest.mark.parametrize("method", ["psm", "joint", "full"])
 def test_a_fit_by_evidence_and_conclusion_has_one_thread(method, monkeypatch):
     """As the live node does it, without :func:`identify`."""
-    from synthetic import record
+    from synthetic import reciprocal_flux, record
 
     from drive_id.core.accumulation.evidence import Evidence
     from drive_id.core.result.conclusion import conclude
@@ -101,7 +101,7 @@ def test_a_fit_by_evidence_and_conclusion_has_one_thread(method, monkeypatch):
 
         monkeypatch.setattr(f"numpy.{name}", watched)
     evidence = Evidence.within(FitSettings(method, i_max=300.0), 300.0)
-    evidence.add(record(duration=2.0, noise=0.3))
+    evidence.add(record(reciprocal_flux, duration=2.0, noise=0.3))
     conclude(evidence, [])
     assert seen
     assert all(count == {1} for _, count in seen), seen

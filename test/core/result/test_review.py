@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import record, saturating_flux
+from synthetic import reciprocal_flux, record, saturating_flux
 
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
@@ -30,7 +30,13 @@ def good():
     return record(drop=tanh_drop, duration=3.0, noise=0.1)
 
 
-JOINT = FitSettings("joint")
+@pytest.fixture(scope="module")
+def plain():
+    """What method full fits soon: a reciprocal map, no candidates of harmonics."""
+    return record(reciprocal_flux, drop=tanh_drop, duration=3.0, noise=0.1)
+
+
+JOINT, FULL = FitSettings("joint"), FitSettings("full", harmonic_orders=())
 
 
 def told(samples, settings=JOINT):
@@ -73,17 +79,17 @@ def test_wrong_signs_and_orders_are_refused(good):
             identify([samples], JOINT)
 
 
-@pytest.mark.parametrize("method", ["psm", "joint", "full"])
-def test_a_map_that_explains_too_little_is_refused_with_the_likeliest_cause(good, method, monkeypatch):
-    rng = np.random.default_rng(0)
-    samples = replace(good, u_abc=rng.permutation(good.u_abc))
+@pytest.mark.parametrize("settings", [FitSettings("psm"), JOINT, FULL], ids=lambda settings: settings.method)
+def test_a_map_that_explains_too_little_is_refused_with_the_likeliest_cause(good, settings, monkeypatch):
+    rng, part = np.random.default_rng(0), good.part(0, 10_000)
+    samples = replace(part, u_abc=rng.permutation(part.u_abc))
     with pytest.raises(DataError, match="unexplained, and no order of phases"):
-        identify([samples], FitSettings(method))
+        identify([samples], settings)
     cause = Message.told("The cable is loose: fix it.", "x")
     for found, said in (((), "so there is no valid map: check"), ((cause,), "most likely, the cable is loose: fix it")):
         monkeypatch.setattr(Prescan, "findings", lambda *_, found=found: found)
         with pytest.raises(UnexplainedError, match=said):
-            identify([samples], FitSettings(method))
+            identify([samples], settings)
 
 
 def test_noise_that_hides_the_rotation_is_told():
@@ -185,35 +191,35 @@ def test_a_rest_that_comes_in_pieces_is_the_same_rest(good):
     np.testing.assert_allclose(pieces.information.total, whole.information.total, rtol=1e-9)
 
 
-def test_what_no_machine_can_have_is_refused_by_full_and_told_by_joint(good, monkeypatch):
+def test_what_no_machine_can_have_is_refused_by_full_and_told_by_joint(plain, monkeypatch):
     """Where the checks say nothing: joint's standard errors are too wide to condemn a result."""
     monkeypatch.setattr(Prescan, "findings", lambda *_: ())
-    reversed_currents = replace(good, i_abc=-good.i_abc)
+    reversed_currents = replace(plain, i_abc=-plain.i_abc)
     with pytest.raises(UnexplainedError, match=r"The resistance comes out negative \(\N{MINUS SIGN}.*second speed"):
-        identify([reversed_currents], FitSettings("full"))
+        identify([reversed_currents], FULL)
     assert "resistance is negative" in told(reversed_currents)
 
 
 @pytest.mark.parametrize(
     ("share", "diverges", "refused"), [(0.3, False, True), (0.2, False, False), (0.2, True, True), (0.05, True, False)]
 )
-def test_a_map_without_valid_inductances_over_much_of_the_disc_is_refused(good, monkeypatch, share, diverges, refused):
+def test_a_map_without_valid_inductances_over_much_of_the_disc_is_refused(plain, monkeypatch, share, diverges, refused):
     def with_share(evidence, estimate, flux_map, mad, limits):
         of_share = replace(estimate, positive_definite=lambda i_dq: np.arange(len(i_dq)) >= share * len(i_dq))
         return condemned(evidence, of_share, flux_map, (np.nan, np.nan) if diverges else mad, limits)
 
     monkeypatch.setattr(conclusion, "condemned", with_share)
     if not refused:
-        identify([good], FitSettings("full"))
+        identify([plain], FULL)
         return
     with pytest.raises(UnexplainedError, match=r"not positive definite at \d+ %") as error:
-        identify([good], FitSettings("full"))
+        identify([plain], FULL)
     assert ("diverges" in str(error.value)) == diverges
 
 
-def test_an_angle_far_off_is_refused_where_symmetry_shows_it(good):
+def test_an_angle_far_off_is_refused_where_symmetry_shows_it(plain):
     """30 or 89 degrees would give a map that is wrong by 25 to 77 %; a half turn only changes its sign."""
     for degrees in (30.0, 89.0):
-        turned = replace(good, angle=good.angle + np.deg2rad(degrees))
+        turned = replace(plain, angle=plain.angle + np.deg2rad(degrees))
         with pytest.raises(DataError, match=r"mirror-symmetric.*add -\d\.\d+ rad to the angle"):
-            identify([turned], FitSettings("full"))
+            identify([turned], FULL)

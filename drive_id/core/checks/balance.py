@@ -24,14 +24,8 @@ from drive_id.types import TINY, FloatArray, Samples
 
 DELAYS = tuple(np.arange(-2.0, 2.01, 0.25).tolist())
 """Delays of the voltages that are tried, samples."""
-# columns of the unknowns of the rough model, and their number
-_RESISTANCE = 0
-_DROP = 1
-_MAGNET = slice(2, 4)
-_INDUCTANCE = 4
-_SATURATION = 5
-_SALIENCY = slice(6, 8)
-_SIZE = 16
+# columns of the unknowns of the rough model that cannot be negative, and that which goes with the inductance
+_RESISTANCE, _DROP, _INDUCTANCE, _SATURATION = 0, 1, 4, 5
 _WINDOW_TURN = np.pi / 3  # rad: as in method full
 _LONGEST_WINDOW = 512  # samples: bounds the drift of an offset at low speed
 _NODES = 750  # most windows of a run in a fit: 16 unknowns need no more
@@ -168,15 +162,16 @@ def rough_fit(
     shares = np.sqrt(np.maximum(left, 0.0) / total.square)
     best = int(shares.argmin())
     x, i_max = solved[best], excerpts[0].i_max
+    resistance, _, magnet_d, magnet_q, inductance, _, saliency_d, saliency_q, *_ = x.tolist()
     return RoughFit(
         reading,
         unexplained=float(shares[best]),
         delay=float(delays[best]),
         without_delay=float(shares[int(np.abs(delays).argmin())]),
-        resistance=float(x[_RESISTANCE]) / i_max,
-        inductance=float(x[_INDUCTANCE]) / i_max,
-        magnet=complex(*x[_MAGNET]),
-        saliency=complex(*x[_SALIENCY]) / i_max,
+        resistance=resistance / i_max,
+        inductance=inductance / i_max,
+        magnet=complex(magnet_d, magnet_q),
+        saliency=complex(saliency_d, saliency_q) / i_max,
         estimate=x,
     )
 
@@ -218,7 +213,7 @@ def _sums(excerpt: Excerpt, reading: Reading, delays: Sequence[float], turned: f
     rotor = np.exp(1j * (reading.ratio[0] / reading.ratio[1] * excerpt.angle[nodes] + turned))
     terms = _flux_terms(excerpt.i_s[nodes] / rotor) * rotor
     columns = _changes(np.concatenate([excerpt.lossy[:, nodes], terms]), ahead)
-    right, square = np.empty((_SIZE, len(delays))), np.empty(len(delays))
+    right, square = np.empty((len(columns), len(delays))), np.empty(len(delays))
     phase = np.exp(1j * np.pi / 3 * reading.turned)
     for k, delay in enumerate(delays):
         below = math.floor(-delay)
@@ -247,11 +242,11 @@ def _flux_terms(i: ComplexArray) -> ComplexArray:
 
 def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve the normal equations without negative inductance, resistance and drop."""
-    free = list(range(_SIZE))
+    free = list(range(len(right)))
     scale = np.sqrt(np.maximum(np.diag(matrix), TINY))
     while True:
         scaled = matrix[np.ix_(free, free)] / np.outer(scale[free], scale[free]) + _RIDGE * np.eye(len(free))
-        x = np.zeros(_SIZE)
+        x = np.zeros(len(right))
         x[free] = np.linalg.solve(scaled, right[free] / scale[free]) / scale[free]
         negative = next((k for k in (_INDUCTANCE, _RESISTANCE, _DROP) if x[k] < 0), None)
         if negative is None:

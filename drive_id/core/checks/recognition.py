@@ -19,8 +19,10 @@ _MONOTONE = 0.98  # the same where it does not, which drifts of other signals do
 _UNEVEN = 20  # largest over median step of an angle without wraps
 _MANY = 1000  # range from which on whole numbers are counts
 _UNITS = ((2 * np.pi, "rad", 0.02), (360.0, "deg", 0.02), (1.0, "rev", 0.02))
-_LINES = (500, 512, 600, 720, 900, 1000, 1024, 1250, 1500, 2000, 2048, 2500, 3600, 4000, 4096, 5000, 8192, 10_000)
-_FULL_COUNTS = (*(4 * lines for lines in _LINES), *(2**n for n in range(8, 25)))
+_FULL_COUNTS = (
+    *(4 * lines for lines in (500, 600, 720, 900, 1000, 1250, 1500, 2000, 2500, 3600, 4000, 5000, 10_000)),
+    *(2**n for n in range(8, 25)),
+)
 """Usual counts of an encoder per revolution: four per line, or powers of two."""
 
 

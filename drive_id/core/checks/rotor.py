@@ -23,8 +23,9 @@ _DRIFT = (0.03, 0.5)  # change over the recording, by the mean speed: a larger o
 _DRIFT_FIT = 0.9  # share of the variance that a straight line must explain
 _DRIFT_PARTS = 6  # runs, of which that can be told
 _MOST_POLE_PAIRS = 50  # of any machine
-_MEANT = 0.004  # relative distance from a factor that is meant: neighbouring pole pairs differ by 2 %
-_DEGREES_MEANT = 0.006  # likewise for degrees, which may have been wrapped as if in radians
+_MEANT = 0.006
+"""Relative distance from a factor that is meant, the nearest one: neighbouring pole pairs differ by 2 %, and degrees
+that were wrapped as if in radians are off by 0.5 %."""
 _SWINGING = 3.0  # way of a swinging rotor, by its range
 _LEAST_SWING = 0.05  # rad, least such range: angle noise travels far, too
 _FASTEST_CHANGE = 200.0
@@ -178,8 +179,5 @@ def _ratio_meaning(ratio: float) -> str:
             (count * unit, f"the speed were in {name} and the machine had {count} pole pairs")
             for count in range(2, _MOST_POLE_PAIRS)
         ]
-    for number, (value, meaning) in enumerate(meanings):
-        tolerance = _DEGREES_MEANT if number == 0 else _MEANT  # degrees may have been wrapped as if in radians
-        if abs(abs(ratio) / value - 1) < tolerance:
-            return f"{meaning}{against}"
-    return ""
+    away, meaning = min((abs(abs(ratio) / value - 1), meaning) for value, meaning in meanings)
+    return f"{meaning}{against}" if away < _MEANT else ""

@@ -12,10 +12,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.largest import Largest
 from drive_id.messages import Message
-from drive_id.types import FloatArray, Samples
+from drive_id.types import BoolArray, FloatArray, Samples
 
 _KEPT = 1 << 14  # largest bends: the quantile is exact up to 16 million samples
 _FACTOR = 4.0  # of the usual bend, above which a sample stands out
@@ -23,11 +22,8 @@ _LEAST_CURRENT = 0.005  # least error that is reported, by the usual amplitude: 
 _LEAST_ANGLE = 0.01  # rad, likewise
 _ALIKE = 0.25  # largest deviation from the pattern of one wrong sample, by its bend: noise around it has room
 _STRIDES = (1, 2)  # every sample, and every second one: two wrong ones in a row
-_AROUND = 4
-"""Samples that the pattern needs around one."""
-_BEFORE = _AROUND * max(_STRIDES)
-"""Samples that are kept for the next piece."""
-_FEWEST = 3000  # samples, for the quantile
+_BEFORE = 4 * max(_STRIDES)
+"""Samples that are kept for the next piece: the pattern needs four around one."""
 
 
 class SingleSamples:
@@ -65,7 +61,7 @@ class SingleSamples:
                 parts = tuple(np.concatenate([old, new[1:]]) for old, new in zip(before, parts, strict=True))
             for stride, currents, angles in zip(_STRIDES, self._currents, self._angles, strict=True):
                 for first in range(stride):
-                    _scan([np.ascontiguousarray(part[first::stride]) for part in parts], currents, angles)
+                    _scan([part[first::stride] for part in parts], currents, angles)
             self._last = tuple(part[-_BEFORE:].copy() for part in parts)
 
     def findings(self, usual: float) -> Iterator[Message]:
@@ -90,21 +86,40 @@ class SingleSamples:
 def _scan(run: Sequence[FloatArray], currents: Largest, angles: Largest) -> None:
     """Add the bends of a run of i_dq, i_abc, angle and time."""
     i_dq, i_abc, angle, time = run
-    count = len(angle) - _AROUND
-    if count < 1:
+    at, turn = time[2:-2], 2 * np.pi
+    if not len(at):
         return
-    of_currents, of_angles = np.empty((count, 4)), np.empty((count, 3))
-    _bends(i_dq, i_abc, angle, of_currents, of_angles)
-    of_currents[:, 2] = of_angles[:, 2] = time[2:-2]
-    currents.add(of_currents)
-    angles.add(of_angles)
+    steps = np.diff(angle)
+    steps -= turn * np.rint(steps / turn)
+    currents.add(np.column_stack([*_pattern(_off_middle(i_dq)), at, np.abs(_off_middle(i_abc)[1:-1]).argmax(axis=1)]))
+    angles.add(np.column_stack([*_pattern(0.5 * (steps[:-1] - steps[1:])[:, None]), at]))
+
+
+def _off_middle(x: FloatArray) -> FloatArray:
+    """Return how far signals (N, C) are off the middle of their neighbours, (N - 2, C)."""
+    return np.asarray(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
+
+
+def _pattern(off: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return of how far signals are off (N - 2, C) the size (N - 4,), and where it has the pattern of single samples.
+
+    The pattern is that of the same sample in the neighbours: half as far to the other side.
+    """
+    square, before, after = (
+        np.square(x).sum(axis=1) for x in (off[1:-1], off[:-2] + 0.5 * off[1:-1], off[2:] + 0.5 * off[1:-1])
+    )
+    alike = _ALIKE**2 * square
+    return np.sqrt(square), (before < alike) & (after < alike)
 
 
 def _standing_out(bends: Largest, least: float) -> FloatArray:
-    """Return the rows of single samples: those that are many, as by ripple or noise, are the usual ones."""
+    """Return the rows of single samples: those that are many, as by ripple or noise, are the usual ones.
+
+    Of less than some 3000 samples, a wrong one and its neighbours are so many.
+    """
     rows = bends.rows()
-    if bends.count < _FEWEST:
-        return rows[:0]
+    if not len(rows):
+        return rows
     return rows[(rows[:, 1] > 0) & (rows[:, 0] > max(least, _FACTOR * bends.quantile()))]
 
 
@@ -118,44 +133,3 @@ def _at_any_stride(kept: Sequence[Largest], least: float) -> FloatArray:
 def _finding(signal: str, samples: int, time: float, size: float, phase: float | None = None) -> Message:
     several = samples > 1
     return Message(f"single_sample.{signal}", samples=samples, several=several, time=time, size=size, phase=phase)
-
-
-@compiled("const f8[:, ::1], const f8[:, ::1], const f8[::1], f8[:, ::1], f8[:, ::1]")
-def _bends(i_dq: FloatArray, i_abc: FloatArray, angle: FloatArray, currents: FloatArray, angles: FloatArray) -> None:
-    """Measure how far each sample of one run is off the middle of its neighbours, but for the first and last two.
-
-    The first column of ``currents`` (N - 4, 4) becomes the distance, A, the second 1 where the neighbours show the
-    pattern of a single sample, otherwise 0, and the fourth the phase that bends most; likewise ``angles`` (N - 4, 3),
-    rad, without the phase.
-    """
-    turn = 2.0 * np.pi
-    for k in range(2, len(angle) - 2):
-        out = k - 2
-        square = before = after = 0.0
-        for axis in range(2):
-            bend = i_dq[k, axis] - 0.5 * (i_dq[k - 1, axis] + i_dq[k + 1, axis])
-            left = i_dq[k - 1, axis] - 0.5 * (i_dq[k - 2, axis] + i_dq[k, axis]) + 0.5 * bend
-            right = i_dq[k + 1, axis] - 0.5 * (i_dq[k, axis] + i_dq[k + 2, axis]) + 0.5 * bend
-            square += bend * bend
-            before += left * left
-            after += right * right
-        alike = _ALIKE * _ALIKE * square
-        currents[out, 0] = np.sqrt(square)
-        currents[out, 1] = 1.0 if before < alike and after < alike else 0.0
-        most, phase = -1.0, 0
-        for which in range(3):
-            size = abs(i_abc[k, which] - 0.5 * (i_abc[k - 1, which] + i_abc[k + 1, which]))
-            if size > most:
-                most, phase = size, which
-        currents[out, 3] = phase
-        first, second = angle[k - 1] - angle[k - 2], angle[k] - angle[k - 1]
-        third, fourth = angle[k + 1] - angle[k], angle[k + 2] - angle[k + 1]
-        first -= turn * np.rint(first / turn)
-        second -= turn * np.rint(second / turn)
-        third -= turn * np.rint(third / turn)
-        fourth -= turn * np.rint(fourth / turn)
-        bend = 0.5 * (second - third)
-        left = 0.5 * (first - second) + 0.5 * bend
-        right = 0.5 * (third - fourth) + 0.5 * bend
-        angles[out, 0] = abs(bend)
-        angles[out, 1] = 1.0 if abs(left) < _ALIKE * abs(bend) and abs(right) < _ALIKE * abs(bend) else 0.0

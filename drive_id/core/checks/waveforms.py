@@ -28,14 +28,12 @@ _STUCK = 50  # equal samples in a row, more than a coarse converter repeats whil
 _MOVED = 0.3  # range of the other phases meanwhile, by the largest value
 _NEAR_LIMIT = 0.999  # of the largest value, where a phase that stands still is clipped
 _FEW_LEVELS = 100  # values of a phase: 7 bits, whose steps exceed the noise of any drive
-_LEVELS_OF = 20_000  # samples in which they are counted, to save time
 _CURRENT_OFFSET = 0.03  # by i_max: method full corrects smaller ones
 _VOLTAGE_OFFSET = 0.05  # by the rms voltage, likewise
 _FEWEST_TURNS = 20  # so that the scatter of their means is known to a sixth
 _SCATTER = 5.0  # standard errors of a mean over turns, as the turns of a trajectory are not independent
 _MOST_REVERSING = 2
 """Runs with turns both ways, as from one speed to the next in the other direction, in a recording that is no swing."""
-_HEXAGON = np.exp(-1j * np.pi / 6 * np.array([1, 3, 5]))
 
 
 def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
@@ -78,18 +76,13 @@ def _duty_cycles(runs: Sequence[Samples], u_abc: FloatArray, i_max: float) -> It
 
 def _scale(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
     """Yield currents far from their references, or of implausible size."""
-    product = reference_square = current_square = 0.0
-    for run in runs:
-        if run.i_dq_reference is None:
-            continue
-        known = np.isfinite(run.i_dq_reference).all(axis=1)
-        wanted, found = run.i_dq_reference[known], frames.to_dq(run.i_abc, run.angle)[known]
-        product += float(np.sum(wanted * found))
-        reference_square += float(np.sum(wanted**2))
-        current_square += float(np.sum(found**2))
-    if reference_square > 0 and current_square > 0:
-        gain = product / reference_square
-        correlation = product / np.sqrt(reference_square * current_square)
+    given = [run for run in runs if run.i_dq_reference is not None]
+    wanted = np.concatenate([np.zeros((0, 2)), *(run.i_dq_reference for run in given)])
+    found = np.concatenate([np.zeros((0, 2)), *(frames.to_dq(run.i_abc, run.angle) for run in given)])
+    known = np.isfinite(wanted).all(axis=1)
+    squares, product = [float(np.sum(x[known] ** 2)) for x in (wanted, found)], float(np.sum((wanted * found)[known]))
+    if min(squares) > 0:
+        gain, correlation = product / squares[0], product / np.sqrt(squares[0] * squares[1])
         if correlation > _LEAST_CORRELATION and not 1 / _SAME_SCALE < gain < _SAME_SCALE:
             yield Message("current_scale", gain=gain, unit=_unit_of(gain) or None)
             return
@@ -165,7 +158,7 @@ def _held_phase(x_abc: FloatArray, largest: float) -> tuple[int, int, int, float
 
 def _quantized(name: str, x_abc: FloatArray) -> Iterator[Message]:
     """Yield a phase with few levels."""
-    for phase, x in enumerate(x_abc[:: max(1, len(x_abc) // _LEVELS_OF)].T):
+    for phase, x in enumerate(x_abc.T):
         levels = len(np.unique(x))
         if 1 < levels < _FEW_LEVELS and len(x) > 10 * _FEW_LEVELS:
             step = float(np.ptp(x)) / (levels - 1)
@@ -184,9 +177,8 @@ def _clipped_currents(i_abc: FloatArray) -> Iterator[Message]:
 
 
 def _clipped_voltages(u_abc: FloatArray) -> Iterator[Message]:
-    u_s = frames.space_vector(u_abc)
-    hexagon = np.abs((u_s[:, None] * _HEXAGON).real).max(axis=1)
-    kinds = [("amplitude", np.abs(u_s)), ("hexagon", hexagon)]
+    between = np.ptp(u_abc, axis=1) / np.sqrt(3)  # of two phases, as far as a side of the hexagon from the centre
+    kinds = [("amplitude", np.abs(frames.space_vector(u_abc))), ("hexagon", between)]
     kinds += [(f"phase {name}", np.abs(u)) for name, u in zip("abc", u_abc.T, strict=True)]
     for kind, size in kinds:
         limit = float(size.max())

@@ -32,8 +32,6 @@ _MOST_BOW = 1.0
 """The same above which the iteration diverges."""
 _MOST_TURN = np.deg2rad(45.0)
 """Angle between samples above which the iteration diverges and no voltage is known well enough."""
-_SINGULAR = 1e-3
-"""Determinant of the inductances over the square of their sum below which they are not known."""
 _SPAN = 0.1
 """Half of the range of current, in i_max, over which the inductances are averaged: about what the current bows, and
 wide enough that the noise of the map is not fed back through the bow. With the splines' own slopes, a machine at 15
@@ -47,7 +45,6 @@ _ROUNDS, _DAMPING = 8, 0.6
 overshoots with all of it."""
 _BEYOND = 2.0
 """Range of the tabulated drop, in i_max."""
-_AXES = np.exp(1j * frames.PHASE_SHIFTS).view(np.float64).reshape(-1, 2)
 
 
 def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, psi: ComplexArray) -> ComplexArray:
@@ -66,32 +63,34 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
         0 where the rotor turns hardly or far between samples, where the inductances are not known, and where they
         are so wrong that the iteration diverges.
     """
-    out = np.zeros((len(windows), 2))
+    out = np.zeros(len(windows), np.complex128)
     step = spacing(float(windows.period.min()))
     turned = np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0]))
     samples = np.maximum(np.rint(windows.duration / windows.period), 1).astype(np.int64)
     fastest = np.max(np.abs(turned) / samples)
     mean = _mean_inductances(model, estimate, windows.i_dq.mean(axis=1))
-    known = np.linalg.det(mean) > _SINGULAR * np.square(np.trace(mean, axis1=-2, axis2=-1))
+    known = np.linalg.det(mean) > 0.0
     inductance = np.median(np.linalg.eigvalsh(0.5 * (mean + np.swapaxes(mean, 1, 2)))[:, 0])
     bow = np.square(fastest * step) / 8 * np.abs(psi).max()  # of the flux
     least, most = (share * inductance * model.i_max for share in (_NEGLIGIBLE, _MOST_BOW))
     if not (known.any() and least <= bow <= most and fastest <= _MOST_TURN):
-        return out.view(np.complex128)[:, 0]
+        return out
     inverse = np.zeros_like(mean)
     inverse[known] = np.linalg.inv(mean[known])
     current = np.linspace(-_BEYOND, _BEYOND, _TABLE) * model.i_max
     drop = np.ascontiguousarray((model.shapes(current) @ estimate[model.phase_columns()]).T)
     primitive = np.zeros_like(drop)
     primitive[:, 1:] = np.cumsum(0.5 * (drop[:, 1:] + drop[:, :-1]), axis=1) * (current[1] - current[0])
+    resistance, i_dq = float(estimate[RESISTANCE]), windows.measured
+    settled = _NEGLIGIBLE * (np.abs(drop).max() + abs(resistance) * np.abs(frames.as_pairs(i_dq)).max())
     _integrate(
-        windows.angle[:, 0].copy(), turned, frames.as_pairs(windows.measured), frames.as_pairs(psi), inverse, samples,
-        windows.period, windows.drop_scale, float(estimate[RESISTANCE]), step, current[0], current[1] - current[0],
-        drop, primitive, _AXES, out,
+        windows.angle[:, 0].copy(), turned, np.ascontiguousarray(i_dq), np.ascontiguousarray(psi), inverse, samples,
+        windows.period, windows.drop_scale, resistance, step, current[0], current[1] - current[0], drop, primitive,
+        np.exp(1j * frames.PHASE_SHIFTS), float(settled), out,
     )  # fmt: skip
-    integral = out.view(np.complex128)[:, 0]  # beyond the table and what it holds, the iteration has diverged
-    largest = np.abs(drop).max() + _BEYOND * abs(estimate[RESISTANCE]) * model.i_max
-    return np.where(known & (np.abs(integral) < largest * windows.duration), integral, 0.0)
+    largest = np.abs(drop).max() + _BEYOND * abs(resistance) * model.i_max
+    diverged = np.abs(out) >= largest * windows.duration  # beyond the table and what it holds
+    return np.where(known & ~diverged, out, 0.0)
 
 
 def _mean_inductances(model: FullModel, estimate: FloatArray, i_dq: FloatArray) -> FloatArray:
@@ -123,89 +122,82 @@ def _mean_drop(drop: FloatArray, primitive: FloatArray, first: float, step: floa
     return float(total / (end - start))
 
 
-@compiled("const f8[:, ::1], const f8[:, ::1], f8, f8, const f8[:, ::1], const f8[::1], const f8[::1], f8, f8[::1]")
+@compiled("const f8[:, ::1], const f8[:, ::1], f8, f8, const c16[::1], c16, c16, f8")
 def _drop_between(
-    drop: FloatArray, primitive: FloatArray, first: float, step: float, axes: FloatArray,
-    start: FloatArray, end: FloatArray, scale: float, out: FloatArray,
-) -> None:  # fmt: skip
-    """Write the mean drop (2,), V, over a current from one vector (2,), A, to another, in the stator frame."""
-    out[0] = out[1] = 0.0
+    drop: FloatArray, primitive: FloatArray, first: float, step: float, axes: ComplexArray,
+    start: complex, end: complex, scale: float,
+) -> complex:  # fmt: skip
+    """Return the mean drop, V, over a current from one vector to another, A, in the stator frame."""
+    out = 0j
     for phase in range(3):
-        cosine, sine = axes[phase, 0], axes[phase, 1]
-        one, other = cosine * start[0] + sine * start[1], cosine * end[0] + sine * end[1]
-        mean = 2.0 / 3.0 * scale * _mean_drop(drop[phase], primitive[phase], first, step, one, other)
-        out[0] += mean * cosine
-        out[1] += mean * sine
+        axis = axes[phase]
+        one, other = (axis.conjugate() * start).real, (axis.conjugate() * end).real
+        out += 2.0 / 3.0 * scale * _mean_drop(drop[phase], primitive[phase], first, step, one, other) * axis
+    return out
 
 
 @compiled(
-    "f8, f8, const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], f8, f8, f8, f8, f8, "
-    "const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1]"
+    "f8, f8, const c16[::1], const c16[::1], const c16[::1], const f8[:, ::1], f8, f8, f8, f8, f8, "
+    "const f8[:, ::1], const f8[:, ::1], const c16[::1], c16[::1], c16[::1], c16[::1]"
 )
 def _follow(
-    angle: float, turn: float, ends: FloatArray, fluxes: FloatArray, chord: FloatArray, inverse: FloatArray,
+    angle: float, turn: float, ends: ComplexArray, fluxes: ComplexArray, chord: ComplexArray, inverse: FloatArray,
     period: float, resistance: float, scale: float, first: float, step: float, drop: FloatArray, primitive: FloatArray,
-    axes: FloatArray, swing: FloatArray, i: FloatArray, summed: FloatArray,
+    axes: ComplexArray, swing: ComplexArray, i: ComplexArray, summed: ComplexArray,
 ) -> float:  # fmt: skip
-    """Evaluate the current ``i`` (K + 1, 2) over a sample for W = ``swing``, the integral ``summed``, and W.
+    """Evaluate the current ``i`` (K + 1,) over a sample for W = ``swing``, the integral ``summed``, and W.
 
-    Currents ``ends`` and ``fluxes`` (2, 2) are in the rotor frame, the fluxes ``chord`` (2, 2) in the stator frame.
-    Returns the largest change of W, V.
+    Currents ``ends`` and ``fluxes`` (2,) are in the rotor frame, the fluxes ``chord`` (2,) in the stator frame. Returns
+    the largest change of W, V.
     """
-    mean = np.empty(2)
     for j in range(_PARTS + 1):
         s = j / _PARTS
-        cosine, sine = math.cos(angle + s * turn), math.sin(angle + s * turn)
-        a = chord[0, 0] + s * (chord[1, 0] - chord[0, 0]) - period * swing[j, 0]
-        b = chord[0, 1] + s * (chord[1, 1] - chord[0, 1]) - period * swing[j, 1]
-        x = cosine * a + sine * b - fluxes[0, 0] - s * (fluxes[1, 0] - fluxes[0, 0])
-        y = cosine * b - sine * a - fluxes[0, 1] - s * (fluxes[1, 1] - fluxes[0, 1])
-        d = ends[0, 0] + s * (ends[1, 0] - ends[0, 0]) + inverse[0, 0] * x + inverse[0, 1] * y
-        q = ends[0, 1] + s * (ends[1, 1] - ends[0, 1]) + inverse[1, 0] * x + inverse[1, 1] * y
-        i[j, 0], i[j, 1] = cosine * d - sine * q, sine * d + cosine * q
+        rotor = complex(math.cos(angle + s * turn), math.sin(angle + s * turn))
+        flux = rotor.conjugate() * (chord[0] + s * (chord[1] - chord[0]) - period * swing[j])
+        off = flux - fluxes[0] - s * (fluxes[1] - fluxes[0])
+        straight = ends[0] + s * (ends[1] - ends[0])
+        d = straight.real + inverse[0, 0] * off.real + inverse[0, 1] * off.imag
+        q = straight.imag + inverse[1, 0] * off.real + inverse[1, 1] * off.imag
+        i[j] = rotor * complex(d, q)
     for j in range(_PARTS):
-        _drop_between(drop, primitive, first, step, axes, i[j], i[j + 1], scale, mean)
-        for axis in range(2):
-            taken = mean[axis] + 0.5 * resistance * (i[j, axis] + i[j + 1, axis])
-            summed[j + 1, axis] = summed[j, axis] + taken / _PARTS
+        mean = _drop_between(drop, primitive, first, step, axes, i[j], i[j + 1], scale)
+        summed[j + 1] = summed[j] + (mean + 0.5 * resistance * (i[j] + i[j + 1])) / _PARTS
     change = 0.0
     for j in range(1, _PARTS):
-        for axis in range(2):
-            more = summed[j, axis] - j / _PARTS * summed[_PARTS, axis] - swing[j, axis]
-            change = max(change, abs(more))
-            swing[j, axis] += _DAMPING * more
+        more = summed[j] - j / _PARTS * summed[_PARTS] - swing[j]
+        change = max(change, abs(more.real), abs(more.imag))
+        swing[j] += _DAMPING * more
     return change
 
 
 @compiled(
-    "const f8[::1], const f8[::1], const f8[:, :, ::1], const f8[:, :, ::1], const f8[:, :, ::1], const i8[::1], "
-    "const f8[::1], const f8[::1], f8, i8, f8, f8, const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], f8[:, ::1]"
+    "const f8[::1], const f8[::1], const c16[:, ::1], const c16[:, ::1], const f8[:, :, ::1], const i8[::1], "
+    "const f8[::1], const f8[::1], f8, i8, f8, f8, const f8[:, ::1], const f8[:, ::1], const c16[::1], f8, c16[::1]"
 )
 def _integrate(
-    angle: FloatArray, turned: FloatArray, i_dq: FloatArray, psi: FloatArray, inverse: FloatArray, samples: IntArray,
-    period: FloatArray, drop_scale: FloatArray, resistance: float, spaced: int, first: float, step: float,
-    drop: FloatArray, primitive: FloatArray, axes: FloatArray, out: FloatArray,
+    angle: FloatArray, turned: FloatArray, i_dq: ComplexArray, psi: ComplexArray, inverse: FloatArray,
+    samples: IntArray, period: FloatArray, drop_scale: FloatArray, resistance: float, spaced: int, first: float,
+    step: float, drop: FloatArray, primitive: FloatArray, axes: ComplexArray, settled: float, out: ComplexArray,
 ) -> None:  # fmt: skip
-    """Write the integrals (N, 2), Vs, see :func:`between_samples`; ``drop`` (3, P) and its primitive are tables."""
-    i, summed, swing = np.empty((_PARTS + 1, 2)), np.zeros((_PARTS + 1, 2)), np.zeros((_PARTS + 1, 2))
-    ends, fluxes, chord, i_s = np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2)), np.empty((2, 2))
-    mean, before = np.empty(2), np.empty(2)
-    settled = _NEGLIGIBLE * (np.abs(drop).max() + abs(resistance) * np.abs(i_dq).max())
+    """Write the integrals (N,), Vs, see :func:`between_samples`; ``drop`` (3, P) and its primitive are tables.
+
+    The iterations end where W changes by less than ``settled``, V.
+    """
+    parts, pair = np.zeros(_PARTS + 1, np.complex128), np.empty(2, np.complex128)
+    i, summed, swing = parts.copy(), parts.copy(), parts.copy()
+    ends, fluxes, chord, i_s = pair.copy(), pair.copy(), pair.copy(), pair.copy()
+    before = 0j
     for n in range(len(angle)):
         turn = turned[n] / samples[n]
         for k in range(samples[n]):
             for side in range(2):
                 share = (k + side) / samples[n]
-                cosine, sine = math.cos(angle[n] + share * turned[n]), math.sin(angle[n] + share * turned[n])
-                for axis in range(2):
-                    ends[side, axis] = i_dq[n, 0, axis] + share * (i_dq[n, 1, axis] - i_dq[n, 0, axis])
-                    fluxes[side, axis] = psi[n, 0, axis] + share * (psi[n, 1, axis] - psi[n, 0, axis])
-                i_s[side, 0] = cosine * ends[side, 0] - sine * ends[side, 1]
-                i_s[side, 1] = sine * ends[side, 0] + cosine * ends[side, 1]
-                chord[side, 0] = cosine * fluxes[side, 0] - sine * fluxes[side, 1]
-                chord[side, 1] = sine * fluxes[side, 0] + cosine * fluxes[side, 1]
+                rotor = complex(math.cos(angle[n] + share * turned[n]), math.sin(angle[n] + share * turned[n]))
+                ends[side] = i_dq[n, 0] + share * (i_dq[n, 1] - i_dq[n, 0])
+                fluxes[side] = psi[n, 0] + share * (psi[n, 1] - psi[n, 0])
+                i_s[side], chord[side] = rotor * ends[side], rotor * fluxes[side]
             if k % spaced == 0:
-                before[:] = i_s[0]
+                before = i_s[0]
             swing[:] = 0.0
             for _ in range(_ROUNDS):
                 change = _follow(
@@ -214,10 +206,7 @@ def _integrate(
                 )  # fmt: skip
                 if change < settled:
                     break
-            for axis in range(2):
-                straight = 0.5 * resistance * (i_s[0, axis] + i_s[1, axis])
-                out[n, axis] += period[n] * (summed[_PARTS, axis] - straight)
+            out[n] += period[n] * (summed[_PARTS] - 0.5 * resistance * (i_s[0] + i_s[1]))
             if (k + 1) % spaced == 0:
-                _drop_between(drop, primitive, first, step, axes, before, i_s[1], drop_scale[n], mean)
-                for axis in range(2):
-                    out[n, axis] -= spaced * period[n] * mean[axis]
+                mean = _drop_between(drop, primitive, first, step, axes, before, i_s[1], drop_scale[n])
+                out[n] -= spaced * period[n] * mean

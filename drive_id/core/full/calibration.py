@@ -32,8 +32,6 @@ _LARGEST_ASYMMETRY = 0.01
 _LEAST_MIRRORED = 0.3
 """Least range of i_q with mirror images, relative to i_max."""
 CURRENT_ROTATION, VOLTAGE_MISMATCH = "current_rotation", "voltage_gain_mismatch"
-_FEWEST_MIRRORED = 16
-"""Fewest pairs of mirrored currents that tell an angle."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +167,7 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
         Measured minus true electrical angle, rad.
     """
     name, unit = "resolver_offset", "rad"
-    if len(i_dq) < _FEWEST_MIRRORED:
+    if not len(i_dq):
         return Calibration(name, 0.0, float("nan"), unit, False, Message("resolver_offset.one_sided"))
     mirror = np.array([1.0, -1.0])
 

@@ -28,9 +28,7 @@ _USUAL, _MOST_LEFT = 2.0, 0.7
 _SMOOTHING_BOUND = 2.0
 """Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05
-"""Largest distance of a physical delay from a half or a whole sample, samples."""
-_DECIMATED = -0.23
-"""Samples; decimation by n looks like a delay of -(n-1)/2n, that is, of -1/4 or beyond."""
+"""Largest distance of a delay from that which its cause has, such as a half or a whole sample, samples."""
 _LEAST_JUMP, _LEAST_SHARE = 0.2, 0.1
 """Jump of a delay in what the fit left of it, samples: of one sample, the fit takes half and more; and the share of the
 squared residuals that a jump must explain: without one, it was below 0.002."""
@@ -67,7 +65,7 @@ class Delay:
     @property
     def decimation(self) -> float:
         """The n of a log with every n-th sample only, which gives a delay of -(n - 1) / 2n; 0 for other delays."""
-        return 1 / (1 + 2 * self.value) if -0.5 < self.value < _DECIMATED else 0.0
+        return 1 / (1 + 2 * self.value) if -1 / 2 < self.value < -1 / 4 + _PHYSICAL else 0.0
 
     @property
     def physical(self) -> bool:

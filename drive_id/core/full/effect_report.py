@@ -109,8 +109,12 @@ class _ReportedEffect:
 
 
 def _one(found: _ReportedEffect) -> Iterator[Calibration]:
-    name, unit, scale = _OF_ONE_VALUE[found.name]
-    yield found.entry(name, scale * found.value[0], scale * found.sigma[0], unit)
+    name, unit = _OF_ONE_VALUE[found.name]
+    yield found.entry(name, found.value[0], found.sigma[0], unit)
+
+
+def _sag(found: _ReportedEffect) -> Iterator[Calibration]:
+    yield found.entry("link_sag", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
 
 
 def _late(found: _ReportedEffect) -> Iterator[Calibration]:
@@ -197,14 +201,13 @@ def _gains(found: _ReportedEffect) -> Iterator[Calibration]:
 
 
 _OF_ONE_VALUE = {
-    "iron_loss": ("iron_loss_conductance", "S", 1.0),
-    "hysteresis": ("iron_loss_hysteresis", "S rad/s", 1.0),
-    "coercivity": ("iron_loss_current", "A", 1.0),
-    "dc_link": ("dc_link_share", "1", 1.0),
-    "link_sag": ("link_sag", "%/kW", 1e5),
-    "current_rotation": (CURRENT_ROTATION, "rad", 1.0),
+    "iron_loss": ("iron_loss_conductance", "S"),
+    "hysteresis": ("iron_loss_hysteresis", "S rad/s"),
+    "coercivity": ("iron_loss_current", "A"),
+    "dc_link": ("dc_link_share", "1"),
+    "current_rotation": (CURRENT_ROTATION, "rad"),
 }
-"""Names and units under which effects are reported, and how many of these units an SI unit is."""
+"""Names and units under which effects are reported."""
 _OF_TURN = {"eccentricity": ("resolver_eccentricity", "rad"), "eccentric_rotor": ("rotor_eccentricity", "1")}
 _BY_AXIS = {"current_gains": ("current_gain_mismatch", "1"), "current_offset": ("current_offset", "A")}
 """Names and units, likewise."""
@@ -218,6 +221,7 @@ _REPORTS: dict[str, Callable[[_ReportedEffect], Iterator[Calibration]]] = {
     **dict.fromkeys(_BY_AXIS, _of_sensors),
     **dict.fromkeys((name for name in EFFECTS if name.startswith("flux_lag")), _lag),
     "link_ripple": _ripple,
+    "link_sag": _sag,
     "phase_resistance": _phases,
     "voltage_gains": _gains,
 }

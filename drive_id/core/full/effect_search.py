@@ -14,7 +14,7 @@ from drive_id.core.full.link_ripple import ripple_frequency
 from drive_id.core.full.model import EFFECTS, PENALTIES, VOLTAGE, FullModel, ModelSpec
 from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver, better_on_most_folds, predictable
 from drive_id.core.full.window_sums import WindowSums
-from drive_id.core.full.windows import Windows
+from drive_id.core.full.windows import SEARCHED, Windows
 from drive_id.types import TINY, FloatArray
 
 DELAY = "voltage_delay"
@@ -32,22 +32,15 @@ _CLOSE = 0.05
 squared residuals by which a wrong effect may seem to explain more than a true delay."""
 _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
-_LEAST_BEYOND = 1 - LEAST_TOLD**-2
-"""Share of the squared residuals beyond noise from which on a ripple of the DC link is looked for: that takes as long
-as all other effects."""
 _OF_LINK, _OF_MISFIT = ("link_ripple", "link_sag"), 0.5
 """Variations of the DC link, and the share of the squared residuals beyond noise that one must explain: the misfit of a
 map recurs with the trajectory and the power, and a part of it looks like theirs."""
-_MOST_EFFECTS = 6
-"""Most effects of a drive: bounds the time."""
 _GROWN = 1.03
 """Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
 _SETTLING, _SETTLED = 5, 0.01
 """Most linearizations, and the relative decrease of the residuals below which they end."""
 _MOST_POLE_PAIRS = 16
 """Tried where the number is not known: as many as common machines have."""
-_MOST_WINDOWS = 3000
-"""Windows over which numbers of pole pairs are compared: 2 unknowns for each number."""
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
 _TURNING = {DELAY, "current_latency", "angle_latency", "iron_loss", "hysteresis", "coercivity"}
 """All of them turn the flux against the currents: at one speed they resemble one another, and only the bends of the map
@@ -145,7 +138,7 @@ def _greedy(
     solver, solution = state.solver, state.solution
     delay = estimate_delay(solver, solution, noise) if turn > 0 else state.found.delay
     one_speed = not several_speeds(noise.windows.speed.mean(axis=1))
-    while len(taken) < _MOST_EFFECTS:
+    while True:
         timed = one_speed and bool(_TIMING & {each.name for each in taken})
         allowed = [name for name in allowed if not (timed and name in _TIMING)]
         taken_effects = solution.spec.effects
@@ -273,16 +266,21 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
 def _with_hidden_ripple(sums: WindowSums, state: EffectSearch, noise: CurrentNoise) -> EffectSearch:
     """Look again for a ripple of the DC link, whose frequency could not be found below a larger effect."""
     model, solution, columns = state.solver.model, state.solution, state.found.columns
-    beyond = _beyond(model, solution, noise)
-    if np.isfinite(columns.link) or "link_ripple" in solution.spec.effects or beyond <= _LEAST_BEYOND:
+    if np.isfinite(columns.link) or "link_ripple" in solution.spec.effects or not _misfits(model, solution, noise):
         return state
     ripple, share = ripple_frequency(model, solution.estimate, state.sums.kept())
-    return _settled(sums, solution.spec, replace(columns, ripple=ripple)) if share > _OF_MISFIT * beyond else state
+    explains = share > _OF_MISFIT * _beyond(model, solution, noise)
+    return _settled(sums, solution.spec, replace(columns, ripple=ripple)) if explains else state
 
 
 def _beyond(model: FullModel, solution: FullSolution, noise: CurrentNoise) -> float:
     """Return the share of the squared residuals that noise does not explain."""
     return float(1.0 - noise.explained(model, solution) / max(solution.residual_rms**2, TINY))
+
+
+def _misfits(model: FullModel, solution: FullSolution, noise: CurrentNoise) -> bool:
+    """Tell whether to look for a ripple of the DC link, which takes as long as all other effects."""
+    return solution.residual_rms**2 > LEAST_TOLD**2 * noise.explained(model, solution)
 
 
 def several_speeds(speeds: FloatArray) -> bool:
@@ -388,7 +386,7 @@ def _columns(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole
     mean, ripple = np.nan, 0.0
     if known.any():
         mean = float(np.vdot(voltage[known], link[known]).real / np.vdot(voltage[known], voltage[known]).real)
-    elif _beyond(model, solution, noise) > _LEAST_BEYOND:
+    elif _misfits(model, solution, noise):
         ripple = ripple_frequency(model, solution.estimate, kept)[0]
     columns = EffectColumns(model, solution.estimate, heat, mean, pole_pairs, ripple)
     return columns if pole_pairs is not None else replace(columns, pole_pairs=_pole_pairs(columns, kept))
@@ -396,7 +394,7 @@ def _columns(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole
 
 def _pole_pairs(columns: EffectColumns, kept: Sequence[Windows]) -> int | None:
     """Return the number of pole pairs at which resolver eccentricity reduces the residuals most."""
-    windows = Windows.joined(list(kept)).thinned(_MOST_WINDOWS)
+    windows = Windows.joined(list(kept)).thinned(SEARCHED)
     left = columns.model.residuals(windows, columns.estimate)
     both = np.concatenate([left[:, 0], left[:, 1]])
     shares = {}

@@ -32,8 +32,6 @@ _LEAST = 0.5
 """Misfit over noise, both squared, from which on a cell is too coarse: it recurs in each pass, noise averages out."""
 _BENT = 0.25
 """Change of an inductance over a cell, relative to the largest: of smooth saturation, a cell meets a tenth."""
-_ROUNDING, _ROUNDS = 1e-10, 3
-"""Relative gradients and values that count as zero, and most changes of the free unknowns for each of them."""
 _STRONG = 64.0
 """Squared misfit relative to the least one from which on a cell is divided by four instead of two: the flux between
 knots is off by the third power of their distance, so halves leave 1/64 of the squared misfit of smooth saturation."""
@@ -129,33 +127,11 @@ def misfit_by_cell(
     excess, least = (squares - expected) / unit, max(_LEAST, negligible / unit)
     found = np.zeros(columns.shape[1])
     if np.max(columns.T @ excess / np.maximum(columns.sum(axis=0), 1.0)) > least:
-        found = _nonnegative(columns.T @ columns, columns.T @ excess)
+        from scipy.optimize import nnls  # noqa: PLC0415  # takes 0.4 s to load; few fits have such a misfit
+
+        found = nnls(columns, excess, maxiter=len(excess))[0]
     split = of_axes[0].shape[1]
     return Misfit(found[:split], found[split:-1], max(least, _OF_LARGEST * float(found[:-1].max())))
-
-
-def _nonnegative(gram: FloatArray, moment: FloatArray) -> FloatArray:
-    """Return the x (K,) >= 0 that minimizes x' gram x - 2 x' moment (Lawson and Hanson 1974, chapter 23).
-
-    scipy.optimize has the same, and takes 0.4 s to import.
-    """
-    x, free = np.zeros(len(moment)), np.zeros(len(moment), np.bool_)
-    for _ in range(_ROUNDS * len(moment)):
-        gradient = np.where(free, -np.inf, moment - gram @ x)
-        if gradient.max() <= _ROUNDING * np.abs(moment).max():
-            break
-        free[gradient.argmax()] = True
-        while True:
-            trial = np.zeros(len(moment))
-            trial[free] = np.linalg.lstsq(gram[np.ix_(free, free)], moment[free])[0]
-            below = free & (trial <= 0.0)
-            if not below.any():
-                break
-            x += np.min(x[below] / np.maximum(x[below] - trial[below], TINY)) * (trial - x)
-            free &= x > _ROUNDING * x.max()
-            x[~free] = 0.0
-        x = trial
-    return x
 
 
 def _cell(edges: FloatArray, current: FloatArray) -> IntArray:

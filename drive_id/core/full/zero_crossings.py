@@ -32,8 +32,7 @@ misfit of the map is in both."""
 _ROUNDS = 2
 """Of weighting: bounds the time."""
 _USUAL = 0.95
-_MEAN = (1.0 - (1.0 - _USUAL) * (1.0 - np.log(1.0 - _USUAL))) / _USUAL
-"""Share of the windows that is used, and the mean of this share of smallest squares of unit complex noise."""
+"""Share of the windows that is used, those with the smallest squares."""
 _FEWEST = 32
 """Fewest windows of a class: their mean square is within a quarter."""
 
@@ -63,12 +62,10 @@ def between_crossings(
         return replace(windows, short=~windows.short, weight=weights[_classes(windows, model.i_max)])
 
     for _ in range(_ROUNDS):
-        chosen = sums.changed(weighted, short=True)
-        found = Solver.over(chosen).solve(spec)
+        found = Solver.over(sums.changed(weighted, short=True)).solve(spec)
         excess = _excess(model, found, short, noise)
         weights = np.maximum(excess / max(1.0, excess[_CLEAR:].min()), 1.0) ** -_POWER
-    chosen = sums.changed(weighted, short=True)
-    return chosen, float(excess[0])
+    return sums.changed(weighted, short=True), float(excess[0])
 
 
 def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: CurrentNoise) -> bool:
@@ -108,7 +105,8 @@ def _squares(
 def _ratio(squares: FloatArray, expected: FloatArray) -> float:
     """Return the squared residuals relative to noise, without the largest, which a short disturbance may cause."""
     shares = np.sort(squares / np.maximum(expected, TINY))
-    return float(shares[: max(1, int(_USUAL * len(shares)))].mean() / _MEAN)
+    mean = (1.0 - (1.0 - _USUAL) * (1.0 - np.log(1.0 - _USUAL))) / _USUAL  # of that share of unit complex noise
+    return float(shares[: max(1, int(_USUAL * len(shares)))].mean() / mean)
 
 
 def _classes(windows: Windows, i_max: float) -> IntArray:

@@ -6,12 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.optimize import nnls
 
 from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.resolution import Resolution, _nonnegative, misfit_by_cell
+from drive_id.core.full.resolution import Resolution, misfit_by_cell
 from drive_id.core.result.identify import identify, score
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import MachineMap
@@ -108,21 +107,3 @@ def normalized_slope(truth):
     large = truth.inverter_current >= 0.5 * truth.i_max
     i, drop = truth.inverter_current[large], truth.inverter_voltage[large]
     return np.linalg.lstsq(np.stack([i, np.ones_like(i), 1 / i], axis=1), drop)[0][0]
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_nonnegative_least_squares_are_those_of_scipy(seed):
-    """The columns of both axes and the constant depend on one another, as those of cells do."""
-    rng = np.random.default_rng(seed)
-    cells = int(rng.integers(3, 40))
-    ends = rng.integers(0, cells, (2, 500, 2))
-    counts = [(axis[..., None] == np.arange(cells)).sum(axis=1) for axis in ends]
-    columns = np.concatenate([*counts, np.ones((500, 1))], axis=1).astype(np.float64)
-    misfit = rng.uniform(0.0, 9.0) * columns[:, rng.integers(cells)] + (seed % 2)
-    excess = misfit + rng.standard_normal(500) ** 2 - 1.0
-    found = _nonnegative(columns.T @ columns, columns.T @ excess)
-    np.testing.assert_allclose(found, nnls(columns, excess)[0], atol=1e-7)
-
-
-def test_nothing_is_found_where_no_cell_misfits():
-    assert not _nonnegative(np.eye(3), np.array([-1.0, 0.0, -2.0])).any()

@@ -63,30 +63,15 @@ def as_pairs(x: ComplexArray) -> FloatArray:
     return np.stack([x.real, x.imag], axis=-1)
 
 
-def rotation_integrals(turn: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-    """Return the zeroth and first moment, (N,) each, of the rotation over one sample, by the angle turned in it, rad.
-
-    They are ``int_0^1 e^{-j turn s} ds`` and ``int_0^1 s e^{-j turn s} ds``, dimensionless.
-    """
-    half = 0.5 * np.asarray(turn, dtype=np.float64)
-    small = np.abs(half) < _SERIES_BELOW
-    safe = np.where(small, 1.0, half)
-    odd = (np.sin(safe) - safe * np.cos(safe)) / (2 * safe**2)  # int s sin(turn s) ds from -1/2 to 1/2; cancels at 0
-    square = half**2
-    series = half / 6 * (1 - square / 10 * (1 - square / 28 * (1 - square / 54 * (1 - square / 88))))
-    middle = np.exp(-1j * half)
-    zeroth = middle * np.sinc(half / np.pi)
-    return zeroth, 0.5 * zeroth - 1j * middle * np.where(small, series, odd)
-
-
 def integrate_held(u_abc: FloatArray, angle: FloatArray, speed: FloatArray, period: float) -> FloatArray:
     """Integrate K u_abc over each sample, u_abc held in the stator frame: ``eq:udq_quadrature``, the paper's v.
 
     Takes held phase voltages (N, 3), V, angle (N,), rad, and speed (N,), rad/s, at the start of each sample, and the
     period T, s; returns (N, 2), Vs.
     """
-    zeroth, _ = rotation_integrals(speed * period)
-    return as_pairs(period * zeroth * space_vector(u_abc) * np.exp(-1j * angle))
+    out = np.empty((len(angle), 2))
+    _integrate(np.ascontiguousarray(u_abc), angle, speed, period, False, out)
+    return out
 
 
 def integrate_linear(i_abc: FloatArray, angle: FloatArray, speed: FloatArray, period: float) -> FloatArray:
@@ -95,6 +80,36 @@ def integrate_linear(i_abc: FloatArray, angle: FloatArray, speed: FloatArray, pe
     Takes the phase currents (N + 1, 3), A, at the ends of N samples, all else as :func:`integrate_held`; returns the
     paper's q_1, (N, 2), As.
     """
-    zeroth, first = rotation_integrals(speed * period)
-    i_s = space_vector(i_abc)
-    return as_pairs(period * (zeroth * i_s[:-1] + first * np.diff(i_s)) * np.exp(-1j * angle))
+    out = np.empty((len(angle), 2))
+    _integrate(np.ascontiguousarray(i_abc), angle, speed, period, True, out)
+    return out
+
+
+@compiled("const f8[:, ::1], const f8[::1], const f8[::1], f8, b1, f8[:, ::1]")
+def _integrate(
+    x_abc: FloatArray, angle: FloatArray, speed: FloatArray, period: float, linear: bool, x_dq: FloatArray
+) -> None:
+    """Integrate about the middle of each sample, from where the even moment of the rotation meets the mean value.
+
+    With ``t`` turned in half a sample, the even moment is ``sin t / t`` and the odd one ``int s sin(2 t s) ds`` from
+    -1/2 to 1/2.
+    """
+    for k in range(len(angle)):
+        a, b, c = x_abc[k, 0], x_abc[k, 1], x_abc[k, 2]
+        x, y = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+        half = 0.5 * speed[k] * period
+        square, sine = half * half, math.sin(half)
+        even = sine / half if half != 0.0 else 1.0
+        if linear:
+            a, b, c = x_abc[k + 1, 0], x_abc[k + 1, 1], x_abc[k + 1, 2]
+            rise_x, rise_y = (2.0 * a - b - c) * _THIRD - x, (b - c) * _ROOT_THIRD - y
+            if abs(half) < _SERIES_BELOW:
+                odd = 1.0 - square / 10.0 * (1.0 - square / 28.0 * (1.0 - square / 54.0 * (1.0 - square / 88.0)))
+                odd *= half / 6.0
+            else:
+                odd = (sine - half * math.cos(half)) / (2.0 * square)
+            x, y = (x + 0.5 * rise_x) * even + odd * rise_y, (y + 0.5 * rise_y) * even - odd * rise_x
+        else:
+            x, y = x * even, y * even
+        cosine, sine = math.cos(angle[k] + half), math.sin(angle[k] + half)
+        x_dq[k, 0], x_dq[k, 1] = period * (x * cosine + y * sine), period * (y * cosine - x * sine)

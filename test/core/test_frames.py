@@ -13,6 +13,7 @@ from drive_id.core import frames
 
 angles = st.floats(-50.0, 50.0)
 amperes = st.floats(-1e3, 1e3)
+ALONG_A = np.array([[1.0, -0.5, -0.5]])
 
 
 def clarke_park(angle):
@@ -51,9 +52,10 @@ def test_conventions_of_the_paper():
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-12, -1e-6, 1e-3, 0.05, 0.19, 0.2, 0.21, -0.7, 2.0, -9.0, 40.0])
-def test_rotation_integrals_against_quadrature(turn):
-    zeroth, first = frames.rotation_integrals(np.array([turn]))
-    for value, power in ((zeroth, 0), (first, 1)):
+def test_moments_of_the_rotation_against_quadrature(turn):
+    held = frames.integrate_held(ALONG_A, np.zeros(1), np.array([turn]), 1.0)
+    rising = frames.integrate_linear(np.array([[0.0], [1.0]]) * ALONG_A, np.zeros(1), np.array([turn]), 1.0)
+    for value, power in ((held @ [1, 1j], 0), (rising @ [1, 1j], 1)):
         real = quad(lambda s, p=power: s**p * np.cos(turn * s), 0, 1, epsabs=1e-14)[0]
         imag = quad(lambda s, p=power: -(s**p) * np.sin(turn * s), 0, 1, epsabs=1e-14)[0]
         assert value[0] == pytest.approx(real + 1j * imag, abs=1e-13)
@@ -62,10 +64,11 @@ def test_rotation_integrals_against_quadrature(turn):
 @pytest.mark.parametrize("turn", [1e-9, -3e-6, 1e-4, 0.02, 0.19, 0.21, 0.3])
 def test_the_odd_moment_keeps_its_digits_at_low_speed(turn):
     """Against its Taylor series about the middle of the sample, summed in exact rational numbers."""
-    zeroth, first = frames.rotation_integrals(np.array([turn]))
+    ends = np.array([[-0.5], [0.5]]) * ALONG_A
+    found = frames.integrate_linear(ends, np.zeros(1), np.array([turn]), 1.0) @ [1, 1j]
     half = Fraction(turn) / 2
     exact = sum((-1) ** k * half ** (2 * k + 1) / (factorial(2 * k + 1) * 2 * (2 * k + 3)) for k in range(8))
-    odd = ((first[0] - zeroth[0] / 2) * np.exp(0.5j * turn)).imag
+    odd = (found[0] * np.exp(0.5j * turn)).imag
     assert odd == pytest.approx(-float(exact), rel=1e-7, abs=1e-16)
 
 

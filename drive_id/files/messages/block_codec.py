@@ -118,8 +118,8 @@ def decode_block(data: bytes | memoryview, fields: int) -> Block:
             raise ValueError(f"it declares {count} samples, more than it holds")
         if count != head.samples:
             raise ValueError(f"its arrays have different lengths, {head.samples} and {count}")
-        values.append(np.frombuffer(data, floats, count, position).astype(np.float32, copy=False))
+        values.append(np.frombuffer(data, floats, count, position))
         position += 4 * count
     if len(data) - position > LONGEST_REST[fields]:
         raise ValueError("it is longer than its type allows")
-    return Block(head, tuple(values))
+    return Block(head, tuple(values if floats == np.float32 else [value.astype(np.float32) for value in values]))

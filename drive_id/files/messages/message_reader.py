@@ -5,8 +5,7 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +28,7 @@ STAMP_LIMIT = 2**61
 """Largest stamp, ns (73 years): differences of larger ones could overflow."""
 
 
-@dataclass(frozen=True, eq=False)
-class MessageSamples:
+class MessageSamples(NamedTuple):
     """The samples of one signal in one message."""
 
     stamp: int | IntArray  # of the first sample or of each (n,), ns

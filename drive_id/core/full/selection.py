@@ -239,8 +239,12 @@ def _clearly_better(solver: Solver, error: FloatArray, other: FloatArray) -> boo
 def _saves(solver: Solver, error: FloatArray, other: FloatArray) -> bool:
     """Tell whether squared errors (F,) on data left out are smaller by more than noise and a negligible voltage."""
     folds = predictable(error)
-    enough = (error - other)[folds].mean() > LEAST_SAVED**2 * solver.total_voltage
-    return bool(enough and 1.0 - other[folds].sum() / error[folds].sum() > _CLEAR_GAIN)
+    return _shows(solver, error, other) and bool(1.0 - other[folds].sum() / error[folds].sum() > _CLEAR_GAIN)
+
+
+def _shows(solver: Solver, error: FloatArray, other: FloatArray | float = 0.0) -> bool:
+    """Tell whether squared errors (F,) on data left out exceed others, by default none, by a voltage that matters."""
+    return bool((error - other)[predictable(error)].mean() > LEAST_SAVED**2 * solver.total_voltage)
 
 
 def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSpec:
@@ -278,7 +282,7 @@ def _select(
     search, error = _first_candidate(sums, start, noise, settings, turn)
     solution, spec, advantage = search.solution, search.solution.spec, np.nan
     slow = turn < _FREE_TURN and abs(spec.delay) < MOST_DELAY  # a larger delay can mimic any misfit
-    if settings.maps == "auto" and slow:
+    if settings.maps == "auto" and slow and _shows(search.solver, error):
         free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
         freed = search.sums.freed(spec.orders)
         solver = Solver.over(freed)

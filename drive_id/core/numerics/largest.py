@@ -64,10 +64,10 @@ class Largest:
         rows = np.concatenate([self._rows, *self._waiting])
         self._waiting, self._waiting_count = [], 0
         if len(rows) > self._kept:
-            order = np.argpartition(rows[:, 0], len(rows) - self._kept)
-            out = rows[order[: len(rows) - self._kept]]
-            rows = rows[np.sort(order[len(rows) - self._kept :])]
-            self._floor = float(rows[:, 0].min())
+            self._floor = float(np.partition(rows[:, 0], len(rows) - self._kept)[len(rows) - self._kept])
+            largest = rows[:, 0] > self._floor
+            largest[np.flatnonzero(rows[:, 0] == self._floor)[: self._kept - largest.sum()]] = True
+            out, rows = rows[~largest], rows[largest]
             self.low = np.minimum(self.low, [column.min() for column in out[:, 1:].T])
             self.high = np.maximum(self.high, [column.max() for column in out[:, 1:].T])
         self._rows = rows

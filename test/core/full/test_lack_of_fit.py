@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import record
+from synthetic import reciprocal_flux, record
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.frames import PHASE_SHIFTS
@@ -18,7 +18,7 @@ SETTINGS = FitSettings("full", i_max=300.0, search_orders=False)
 
 @pytest.fixture(scope="module")
 def good():
-    return record(duration=4.0, noise=1.0)
+    return record(reciprocal_flux, duration=4.0, noise=1.0)
 
 
 @pytest.fixture(scope="module")

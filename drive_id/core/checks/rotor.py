@@ -147,9 +147,7 @@ def _drift(runs: Sequence[Samples]) -> Iterator[Message]:
     drift = float(slope * len(runs))
     rest = float(np.sum((speed - middle - slope * at) ** 2))
     within = [np.polyfit(run.stamp - run.stamp[0], run.speed, 1)[0] for run in runs]
-    expected = float(np.median(within)) * float(
-        runs[-1].stamp[-1] - runs[0].stamp[0]
-    )  # steps between runs are not drift
+    expected = float(np.median(within) * (runs[-1].stamp[-1] - runs[0].stamp[0]))  # steps between runs are not drift
     steady = rest < (1 - _DRIFT_FIT) * float(np.sum((speed - middle) ** 2)) and 0.5 < expected / (drift or 1.0) < 2
     if steady and _DRIFT[0] < abs(drift / middle) < _DRIFT[1]:
         yield Message("speed_drift", drift=drift / abs(middle))
@@ -173,10 +171,8 @@ def _ratio_meaning(ratio: float) -> str:
         machine = f"mechanical and the machine had {count} pole pairs"
         meanings += [(float(count), f"the speed were {machine}"), (1 / count, f"the angle were {machine}")]
     for unit, name in ((np.pi / 30, "rpm"), (2 * np.pi, "revolutions per second")):
-        meanings += [(unit, f"the speed were in {name}")]
-        meanings += [
-            (count * unit, f"the speed were in {name} and the machine had {count} pole pairs")
-            for count in range(2, _MOST_POLE_PAIRS)
-        ]
+        said = f"the speed were in {name}"
+        meanings += [(unit, said)]
+        meanings += [(n * unit, f"{said} and the machine had {n} pole pairs") for n in range(2, _MOST_POLE_PAIRS)]
     away, meaning = min((abs(abs(ratio) / value - 1), meaning) for value, meaning in meanings)
     return f"{meaning}{against}" if away < _MEANT else ""

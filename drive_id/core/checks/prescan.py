@@ -87,10 +87,7 @@ class Prescan:
         self._periods: tuple[float, ...] = ()
         self._excerpt = Spans(_SPAN, _SPANS)
         self._single = SingleSamples()
-        self._found: tuple[tuple[int, bool], tuple[Message, ...]] = (
-            (-1, True),
-            (),
-        )  # of so many samples, turning or not
+        self._found: tuple[tuple[int, bool], tuple[Message, ...]] = (-1, True), ()  # of so many samples, turning or not
 
     def copy(self) -> Prescan:
         """Return an independent copy."""

@@ -13,7 +13,6 @@ from drive_id.types import Samples
 _PERIODS = (5e-7, 0.02)
 """Shortest and longest plausible sample period, s."""
 _UNITS = {1.0: "revolutions", 360.0: "degrees", 400.0: "gon"} | {2.0**n: "counts" for n in range(8, 25)}
-_TURN_TOLERANCE = 0.003  # relative, of the step by which an angle wraps: one sample of advance is added by median
 _FEWEST_WRAPS = 3  # so that a median tells their step
 _COARSE_TURN = np.deg2rad(40.0)  # per sample: the voltage within a sample is hardly known any more
 _HELD_SHARE, _HELD_STEP = 0.5, 0.02
@@ -24,8 +23,8 @@ _DRIFT_FIT = 0.9  # share of the variance that a straight line must explain
 _DRIFT_PARTS = 6  # runs, of which that can be told
 _MOST_POLE_PAIRS = 50  # of any machine
 _MEANT = 0.006
-"""Relative distance from a factor that is meant, the nearest one: neighbouring pole pairs differ by 2 %, and degrees
-that were wrapped as if in radians are off by 0.5 %."""
+"""Relative distance from a unit or a factor that is meant: neighbouring pole pairs differ by 2 %, and degrees that were
+wrapped as if in radians are off by 0.5 %. Half of it for turns in rad: 256 counts are off 41 of them by 0.6 %."""
 _SWINGING = 3.0  # way of a swinging rotor, by its range
 _LEAST_SWING = 0.05  # rad, least such range: angle noise travels far, too
 _FASTEST_CHANGE = 200.0
@@ -54,10 +53,10 @@ def unit_findings(runs: Sequence[Samples]) -> Iterator[Message]:
     if wraps.sum() >= _FEWEST_WRAPS and spread > 0:
         turn = float(np.median(np.abs(every[wraps]))) + float(np.median(np.abs(every[~wraps])))
         whole = round(turn / (2 * np.pi))
-        if 1 <= whole < _MOST_POLE_PAIRS and abs(turn / (2 * np.pi) / whole - 1) < _TURN_TOLERANCE:
+        if 1 <= whole < _MOST_POLE_PAIRS and abs(turn / (2 * np.pi) / whole - 1) < 0.5 * _MEANT:
             return
         for unit, name in _UNITS.items():
-            if abs(turn / unit - 1) < 2 * _TURN_TOLERANCE:
+            if abs(turn / unit - 1) < _MEANT:
                 yield _in_unit(name, unit, f"wraps by {turn:.4g}")
                 return
         return
@@ -148,9 +147,7 @@ def _drift(runs: Sequence[Samples]) -> Iterator[Message]:
     drift = float(slope * len(runs))
     rest = float(np.sum((speed - middle - slope * at) ** 2))
     within = [np.polyfit(run.stamp - run.stamp[0], run.speed, 1)[0] for run in runs]
-    expected = float(np.median(within)) * float(
-        runs[-1].stamp[-1] - runs[0].stamp[0]
-    )  # steps between runs are not drift
+    expected = float(np.median(within) * (runs[-1].stamp[-1] - runs[0].stamp[0]))  # steps between runs are not drift
     steady = rest < (1 - _DRIFT_FIT) * float(np.sum((speed - middle) ** 2)) and 0.5 < expected / (drift or 1.0) < 2
     if steady and _DRIFT[0] < abs(drift / middle) < _DRIFT[1]:
         yield Message("speed_drift", drift=drift / abs(middle))
@@ -174,10 +171,8 @@ def _ratio_meaning(ratio: float) -> str:
         machine = f"mechanical and the machine had {count} pole pairs"
         meanings += [(float(count), f"the speed were {machine}"), (1 / count, f"the angle were {machine}")]
     for unit, name in ((np.pi / 30, "rpm"), (2 * np.pi, "revolutions per second")):
-        meanings += [(unit, f"the speed were in {name}")]
-        meanings += [
-            (count * unit, f"the speed were in {name} and the machine had {count} pole pairs")
-            for count in range(2, _MOST_POLE_PAIRS)
-        ]
+        said = f"the speed were in {name}"
+        meanings += [(unit, said)]
+        meanings += [(n * unit, f"{said} and the machine had {n} pole pairs") for n in range(2, _MOST_POLE_PAIRS)]
     away, meaning = min((abs(abs(ratio) / value - 1), meaning) for value, meaning in meanings)
     return f"{meaning}{against}" if away < _MEANT else ""

@@ -28,10 +28,6 @@ UNCERTAIN_SHARE = 0.1
 _NEGLIGIBLE = 1e-3
 """Deviation of the current from a straight line, in i_max or in steps of the table, below which it is as good as
 straight, and relative change of the drop that ends the iterations."""
-_MOST_BOW = 1.0
-"""The same above which the iteration diverges."""
-_MOST_TURN = np.deg2rad(45.0)
-"""Angle between samples above which the iteration diverges and no voltage is known well enough."""
 _SPAN = 0.1
 """Half of the range of current, in i_max, over which the inductances are averaged: about what the current bows, and
 wide enough that the noise of the map is not fed back through the bow. With the splines' own slopes, a machine at 15
@@ -60,8 +56,8 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
     Returns
     -------
     (N,) complex
-        0 where the rotor turns hardly or far between samples, where the inductances are not known, and where they
-        are so wrong that the iteration diverges.
+        0 where the current hardly bows between samples, where the inductances are not known, and where they are so
+        wrong that the iteration diverges.
     """
     out = np.zeros(len(windows), np.complex128)
     step = spacing(float(windows.period.min()))
@@ -72,8 +68,8 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
     known = np.linalg.det(mean) > 0.0
     inductance = np.median(np.linalg.eigvalsh(0.5 * (mean + np.swapaxes(mean, 1, 2)))[:, 0])
     bow = np.square(fastest * step) / 8 * np.abs(psi).max()  # of the flux
-    least, most = (share * inductance * model.i_max for share in (_NEGLIGIBLE, _MOST_BOW))
-    if not (known.any() and least <= bow <= most and fastest <= _MOST_TURN):
+    most = inductance * model.i_max  # a current that bows by i_max and more diverges
+    if not (known.any() and _NEGLIGIBLE * most <= bow <= most):
         return out
     inverse = np.zeros_like(mean)
     inverse[known] = np.linalg.inv(mean[known])
@@ -89,8 +85,8 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
         np.exp(1j * frames.PHASE_SHIFTS), float(settled), out,
     )  # fmt: skip
     largest = np.abs(drop).max() + _BEYOND * abs(resistance) * model.i_max
-    diverged = np.abs(out) >= largest * windows.duration  # beyond the table and what it holds
-    return np.where(known & ~diverged, out, 0.0)
+    converged = np.abs(out) < largest * windows.duration  # else beyond the table and what it holds
+    return np.where(known & converged, out, 0.0)
 
 
 def _mean_inductances(model: FullModel, estimate: FloatArray, i_dq: FloatArray) -> FloatArray:

@@ -170,7 +170,7 @@ def _greedy(
             solution = delayed
         else:
             spec = _with_effect(solution.spec, best)
-            if not _predicts(solver, solution.spec, spec):
+            if not better_on_most_folds(*(solver.left_out(each)[:, 0] for each in (solution.spec, spec))):
                 break
             columns = replace(state.found.columns, estimate=solver.solve(spec).estimate)
             state = _with_hidden_ripple(sums, settled.get(best) or _settled(sums, spec, columns), noise)
@@ -372,34 +372,25 @@ def _by_data(solver: Solver, solution: FullSolution, name: str) -> bool:
     return change < _MOST_BY_PENALTY**2 * squares
 
 
-def _predicts(solver: Solver, spec: ModelSpec, other: ModelSpec) -> bool:
-    """Tell whether another variant predicts held-out data better."""
-    return better_on_most_folds(*(solver.left_out(each)[:, 0] for each in (spec, other)))
-
-
 def _columns(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole_pairs: int | None) -> EffectColumns:
-    model, kept = sums.model, sums.kept()
-    heat = max(float(windows.heat.max()) for windows in kept)
-    link = np.concatenate([windows.link for windows in kept])
-    voltage = np.concatenate([windows.voltage for windows in kept])
-    known = np.isfinite(link)
-    mean, ripple = np.nan, 0.0
+    model, windows = sums.model, Windows.joined(list(sums.kept()))
+    known, mean, ripple = np.isfinite(windows.link), np.nan, 0.0
     if known.any():
-        mean = float(np.vdot(voltage[known], link[known]).real / np.vdot(voltage[known], voltage[known]).real)
+        voltage = windows.voltage[known]
+        mean = float(np.vdot(voltage, windows.link[known]).real / np.vdot(voltage, voltage).real)
     elif _misfits(model, solution, noise):
-        ripple = ripple_frequency(model, solution.estimate, kept)[0]
-    columns = EffectColumns(model, solution.estimate, heat, mean, pole_pairs, ripple)
-    return columns if pole_pairs is not None else replace(columns, pole_pairs=_pole_pairs(columns, kept))
+        ripple = ripple_frequency(model, solution.estimate, [windows])[0]
+    columns = EffectColumns(model, solution.estimate, float(windows.heat.max()), mean, pole_pairs, ripple)
+    if pole_pairs is not None:
+        return columns
+    return replace(columns, pole_pairs=_pole_pairs(columns, windows.thinned(SEARCHED)))
 
 
-def _pole_pairs(columns: EffectColumns, kept: Sequence[Windows]) -> int | None:
+def _pole_pairs(columns: EffectColumns, windows: Windows) -> int:
     """Return the number of pole pairs at which resolver eccentricity reduces the residuals most."""
-    windows = Windows.joined(list(kept)).thinned(SEARCHED)
-    left = columns.model.residuals(windows, columns.estimate)
-    both = np.concatenate([left[:, 0], left[:, 1]])
+    left, weights = columns.model.residuals(windows, columns.estimate).T.ravel(), np.sqrt(windows.weights)[:, None]
     shares = {}
     for pairs, z in columns.eccentricity(windows, range(2, _MOST_POLE_PAIRS + 1)):
-        weighted = np.sqrt(windows.weights)[:, None] * z
-        rows = np.concatenate([weighted.real, weighted.imag])
-        shares[pairs] = float(np.sum((rows @ np.linalg.lstsq(rows, both, rcond=1e-9)[0]) ** 2))
+        rows = np.concatenate([weights * z.real, weights * z.imag])
+        shares[pairs] = float(np.sum((rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]) ** 2))
     return max(shares, key=lambda pairs: shares[pairs])

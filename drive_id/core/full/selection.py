@@ -29,7 +29,7 @@ from drive_id.core.full.model import (
     ModelSpec,
 )
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
-from drive_id.core.full.solver import LEAST_SAVED, CurrentNoise, FullSolution, Solver, better_on_most_folds, predictable
+from drive_id.core.full.solver import LEAST_SAVED, CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.standard_errors import SIGNIFICANCE, residual_statistics, sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
@@ -231,18 +231,15 @@ def _misfit(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, total
 def _clearly_better(solver: Solver, error: FloatArray, other: FloatArray) -> bool:
     """Tell whether squared errors (F,) on data left out are clearly smaller than others.
 
-    Clearly means more than noise does, in nearly all folds, and by more than a negligible voltage.
+    Clearly means more than noise does, in all folds but one, and by more than a negligible voltage. A fold that the
+    others cannot predict is one of them: what it loses is not made up by what another one gains.
     """
-    return _saves(solver, error, other) and better_on_most_folds(error, other)
+    return _saves(solver, error, other) and bool(np.sum(other < error) >= len(error) - 1)
 
 
 def _saves(solver: Solver, error: FloatArray, other: FloatArray) -> bool:
-    """Tell whether squared errors (F,) on data left out are smaller by more than noise and a negligible voltage.
-
-    The fold that gains most does not count towards the first: it may hold a disturbance, or alone visit a region.
-    """
-    folds = np.flatnonzero(predictable(error))
-    folds = np.delete(folds, (error - other)[folds].argmax())
+    """Tell whether squared errors (F,) on data left out are smaller by more than noise and a negligible voltage."""
+    folds = predictable(error)
     return _shows(solver, error, other) and bool(1.0 - other[folds].sum() / error[folds].sum() > _CLEAR_GAIN)
 
 

@@ -277,7 +277,8 @@ class SignalBuilder:
     def _check_periods(self, pieces: list[MessageSamples]) -> None:
         if not self._begun:
             self.period, self._begun = pieces[0].sample_period, True
-        if {piece.sample_period for piece in pieces} == {self.period} and 0.0 < (self.period or 1.0) < LONGEST_PERIOD:
+        sound = self.period is None or 0.0 < self.period < LONGEST_PERIOD
+        if sound and {piece.sample_period for piece in pieces} == {self.period}:
             return
         for piece in pieces:
             period = piece.sample_period

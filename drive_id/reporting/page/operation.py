@@ -6,7 +6,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d
 
 from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelope, references, top_speed
 from drive_id.analysis.machine import MachineModel
@@ -86,7 +85,8 @@ def _speed_map(result: Result, model: MachineModel) -> SpeedMap | None:
     ends = [envelope(model, limits, speed, sign=sign) for sign in (1.0, -1.0)]
     torque = np.nanmax(ends[0].torque) * np.arange(1, _TORQUES + 1) / _TORQUES
     points = references(model, limits, torque, *ends)
-    drawn = torque - torque[0] <= maximum_filter1d(ends[0].torque, 3)[:, None]
+    nearby = np.lib.stride_tricks.sliding_window_view(np.pad(ends[0].torque, 1, mode="edge"), 3).max(axis=1)
+    drawn = torque - torque[0] <= nearby[:, None]
     efficiency = np.where(drawn & points.inside(model), points.efficiency, np.nan)
     return SpeedMap(u_dc, speed, ends[0].torque, torque, efficiency, model.iron.known)
 

@@ -127,7 +127,7 @@ def misfit_by_cell(
     excess, least = (squares - expected) / unit, max(_LEAST, negligible / unit)
     found = np.zeros(columns.shape[1])
     if np.max(columns.T @ excess / np.maximum(columns.sum(axis=0), 1.0)) > least:
-        from scipy.optimize import nnls  # noqa: PLC0415  # takes 0.4 s to load; few fits have such a misfit
+        from scipy.optimize import nnls  # noqa: PLC0415  # takes 0.14 s to load; few fits have such a misfit
 
         found = nnls(columns, excess, maxiter=len(excess))[0]
     split = of_axes[0].shape[1]

@@ -19,15 +19,7 @@ from drive_id.core.full.effect_search import (
     with_effects_only,
 )
 from drive_id.core.full.effects import OF_SENSORS
-from drive_id.core.full.model import (
-    EFFECTS,
-    MOST_RECORDINGS,
-    MOST_RUNS,
-    PENALTIES,
-    RESISTANCE,
-    FullModel,
-    ModelSpec,
-)
+from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
 from drive_id.core.full.solver import LEAST_SAVED, CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.standard_errors import SIGNIFICANCE, residual_statistics, sigma
@@ -434,7 +426,7 @@ def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> float:
     Stops early when the first two folds show no gain.
     """
     folds = np.flatnonzero(predictable(error))
-    first, rest = folds[:2], folds[2:]
+    first, rest = folds[:2], np.setdiff1d(np.arange(len(error)), folds[:2])
     other = error.copy()
     other[first] = solver.left_out(spec, folds=first)[:, 0]
     if np.all(other[first] > (1 - _SOME_GAIN) * error[first]):

@@ -277,11 +277,10 @@ class SignalBuilder:
     def _check_periods(self, pieces: list[MessageSamples]) -> None:
         if not self._begun:
             self.period, self._begun = pieces[0].sample_period, True
-        sound = self.period is None or 0.0 < self.period < LONGEST_PERIOD
-        if sound and {piece.sample_period for piece in pieces} == {self.period}:
-            return
+        first: dict[float | None, MessageSamples] = {}
         for piece in pieces:
-            period = piece.sample_period
+            first.setdefault(piece.sample_period, piece)
+        for period, piece in first.items():
             if period is None or self.period is None:
                 continue
             if not 0.0 < period < LONGEST_PERIOD:

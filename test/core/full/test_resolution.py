@@ -12,7 +12,7 @@ from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.resolution import Resolution, misfit_by_cell
-from drive_id.core.full.selection import _clearly_better
+from drive_id.core.full.selection import _advantage, _clearly_better
 from drive_id.core.result.identify import identify, score
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import MachineMap
@@ -117,3 +117,11 @@ def test_one_fold_alone_divides_no_cells(lost, better):
     solver = SimpleNamespace(total_voltage=1.0)
     error, other = 1e-3 * np.array([9.0, 3.9, 1.0, 1.0, 1.0]), 1e-3 * np.array([15.0, 0.5, lost, 0.9, 0.8])
     assert _clearly_better(solver, error, other) == better
+
+
+@pytest.mark.parametrize(("beyond", "taken"), [(5.0, True), (10.0, False)])
+def test_free_maps_are_tried_on_folds_that_the_others_cannot_predict_as_well(beyond, taken):
+    error, other = 1e-3 * np.array([9.0, 9.0, 1.0, 1.0, 1.0]), 1e-3 * np.array([beyond, beyond, 0.8, 0.8, 0.8])
+    solver = SimpleNamespace(total_voltage=1.0, left_out=lambda _, folds: other[folds][:, None])
+    advantage = _advantage(solver, None, error)
+    assert advantage == pytest.approx(0.2 if taken else np.nan, nan_ok=True)

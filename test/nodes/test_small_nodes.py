@@ -16,6 +16,8 @@ FITS = 5
 MEMORY = {"trajectory_publisher": 90.0, "recorder": 90.0, "identification": 250.0}
 """MB at rest."""
 AFTER_FITS = 400.0
+KEPT_AFTER_THE_FIRST = 10.0
+"""MB more after the last fit than after the first: caches that fill once (2 MB seen)."""
 READY = 3.0
 """s of processor time: of elapsed time on a machine that does nothing else."""
 
@@ -53,9 +55,10 @@ def test_a_node_at_rest_is_small_and_soon_ready(ros, name):
     assert process.interrupt()[0] == 0
 
 
-def test_fits_of_bags_leave_no_memory_behind(ros, bag):
+def test_fits_of_bags_leave_no_memory_behind(ros, bag, monkeypatch):
     from drive_id_msgs.srv import Identify
 
+    monkeypatch.setitem(ros.environment, "MALLOC_ARENA_MAX", "1")  # glibc keeps up to 40 MB of free memory per thread
     data = ros.folder / "data"
     data.mkdir()
     shutil.copytree(bag, data / "bag")
@@ -70,7 +73,7 @@ def test_fits_of_bags_leave_no_memory_behind(ros, bag):
         assert reply.success, reply.message
         after.append(memory(process))
     assert max(after) < AFTER_FITS, after
-    assert after[-1] < 1.1 * after[0] + 10, after
+    assert after[-1] < after[0] + KEPT_AFTER_THE_FIRST, after
 
 
 @pytest.mark.parametrize("trajectory", ["lissajous", "stair"])

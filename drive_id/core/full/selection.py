@@ -25,7 +25,7 @@ from drive_id.core.full.solver import LEAST_SAVED, CurrentNoise, FullSolution, S
 from drive_id.core.full.standard_errors import SIGNIFICANCE, residual_statistics, sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
-from drive_id.core.full.zero_crossings import between_crossings
+from drive_id.core.full.zero_crossings import between_crossings, crossings_exceed
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.origins import ORIGINS
 from drive_id.types import TINY, FloatArray
@@ -54,8 +54,6 @@ _SEARCHES = 2
 _OFFSET = "current_offset"
 _CAUSED = {_OFFSET: 1, "current_gains": 2}
 """Harmonics of the flux that faults of the current sensors cause, and that are none of the machine beside them."""
-_BY_OFFSET = 5.0
-"""Largest excess over noise at zero crossings that an offset may cause; hard dead time causes more."""
 _FREE_TURN = np.deg2rad(3.0)
 """Electrical angle per sample above which free maps are not tried: what the current does between samples is known to
 second order only, and what remains is not reciprocal. Of 224 random drives, free maps won in 14 with reciprocal
@@ -110,7 +108,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     # without a motion of the rotor, only windows near zero current tie the map to its value there
     turning = ORIGINS[settings.method].turning
     between = between_crossings(sums, solver, start, noise) if turning else None
-    if between and not _offset_shows(sums, start, noise, between[1]):
+    if between and not _offset_explains(sums, solver, start, noise):
         sums, crossings = between
         noise = CurrentNoise.met(noise.variance, sums.kept(), noise.angle_variance)
         solver = Solver.over(sums)
@@ -256,15 +254,22 @@ def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSp
     )
 
 
-def _offset_shows(sums: WindowSums, start: FullSolution, noise: CurrentNoise, excess: float) -> bool:
-    """Tell whether a current offset, which shifts the step of the drop, causes the excess at zero crossings.
+def _offset_explains(sums: WindowSums, solver: Solver, start: FullSolution, noise: CurrentNoise) -> bool:
+    """Tell whether an offset of the currents, which shifts the step of the drop, explains the misfit at zero crossings.
 
-    Short windows hardly determine an offset. They are therefore not used if there is an offset and the excess is no
-    larger than offsets cause.
+    Short windows hardly determine an offset, and are not used then. An offset that is found but leaves the crossings as
+    they are is no reason: noise that the drop turns into voltage may exceed that at the ends there.
     """
-    if excess >= _BY_OFFSET:
+    found = search_effects(sums, start, noise, [_OFFSET], turn=0.0, pole_pairs=1)
+    if not found.solution.spec.effects:
         return False
-    return bool(search_effects(sums, start, noise, [_OFFSET], turn=0.0, pole_pairs=1).solution.spec.effects)
+    short = Windows.joined(sums.kept_short())
+    by_offset = replace(short, effects=found.found.columns(short))
+    return any(
+        crossings_exceed(solver, start, short, expected_by)
+        and not crossings_exceed(found.solver, found.solution, by_offset, expected_by)
+        for expected_by in (noise.at_ends, noise.expected)
+    )
 
 
 def _select(

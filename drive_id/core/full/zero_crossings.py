@@ -8,6 +8,7 @@ repeated over the short windows. Their weights depend on the clearance from zero
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -53,7 +54,7 @@ def between_crossings(
     """
     model, short = sums.model, Windows.joined(sums.kept_short())
     clear = _classes(short, model.i_max) >= _CLEAR
-    if 2 * clear.sum() < solution.basis.shape[1] or not _spoiled(solver, solution, short, noise):
+    if 2 * clear.sum() < solution.basis.shape[1] or not crossings_exceed(solver, solution, short, noise.at_ends):
         return None
     spec = replace(solution.spec, crossing=False)
     weights = np.where(np.arange(len(_EDGES)) >= _CLEAR, 1.0, _FIRST)
@@ -68,11 +69,23 @@ def between_crossings(
     return sums.changed(weighted, short=True), float(excess[0])
 
 
-def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: CurrentNoise) -> bool:
-    """Tell whether residuals of short windows with a crossing exceed noise and those of windows clear of crossings."""
+def crossings_exceed(
+    solver: Solver,
+    solution: FullSolution,
+    short: Windows,
+    expected_by: Callable[[FullModel, FloatArray, Windows], FloatArray],
+) -> bool:
+    """Tell whether residuals of short windows with a crossing exceed noise and those of windows clear of crossings.
+
+    Parameters
+    ----------
+    expected_by : callable
+        :meth:`CurrentNoise.at_ends`, or :meth:`CurrentNoise.expected`, which includes noise through the drop.
+    """
     some = short.thinned(SEARCHED)
     number = _classes(some, solver.model.i_max)
-    squares, expected = _squares(solver.model, solution, some, noise)
+    squares = np.square(solver.model.residuals(some, solution.estimate)).sum(axis=1)
+    expected = expected_by(solver.model, solution.estimate, some)
     crossing, clear = number == 0, number >= _CLEAR
     if min(crossing.sum(), clear.sum()) < _FEWEST:
         return False
@@ -85,21 +98,14 @@ def _spoiled(solver: Solver, solution: FullSolution, short: Windows, noise: Curr
 def _excess(model: FullModel, solution: FullSolution, windows: Windows, noise: CurrentNoise) -> FloatArray:
     """Return the ratio of the rms residual to noise in each class, or of the next class if one has no windows."""
     number = _classes(windows, model.i_max)
-    squares, expected = _squares(model, solution, windows, noise)
+    squares = np.square(model.residuals(windows, solution.estimate)).sum(axis=1)
+    expected = noise.at_ends(model, solution.estimate, windows)
     out = np.ones(len(_EDGES))
     for k in reversed(range(len(_EDGES))):
         own = number == k
         enough = own.sum() >= _FEWEST
         out[k] = np.sqrt(_ratio(squares[own], expected[own])) if enough else out[min(k + 1, len(_EDGES) - 1)]
     return out
-
-
-def _squares(
-    model: FullModel, solution: FullSolution, windows: Windows, noise: CurrentNoise
-) -> tuple[FloatArray, FloatArray]:
-    """Return the squared residuals (N,) and those that current noise at their ends causes, (Vs)^2."""
-    left = model.residuals(windows, solution.estimate)
-    return np.square(left).sum(axis=1), noise.at_ends(model, solution.estimate, windows)
 
 
 def _ratio(squares: FloatArray, expected: FloatArray) -> float:

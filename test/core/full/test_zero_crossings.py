@@ -19,6 +19,8 @@ from drive_id.core.result.identify import gather
 SETTINGS = FitSettings("full", i_max=300.0, harmonic_orders=(), search_orders=False)
 SHAPES = CapacitiveShapes.up_to(300.0)
 RESISTANCE, NEAR, STUCK = 0.02, 4.0, 8.0
+STUCK_SOMEWHAT = 2.0  # V: leaves 2.8 times the noise at crossings
+OFFSETS = [1.0, 3.0]  # A: alone, they leave 1.5 and 3.3 times the noise
 
 
 def drop(i_abc):
@@ -30,12 +32,16 @@ def good():
     return record(reciprocal_flux, duration=4.0, noise=0.3, drop=drop)
 
 
-@pytest.fixture(scope="module")
-def stuck(good):
-    """The same, with voltages near zero current that follow the sign of the change of the current, not the current."""
+def sticking(good, voltage):
+    """Return the same with voltages near zero current that follow the sign of the change of the current, not itself."""
     near = np.abs(good.i_abc) < NEAR
     rises = np.gradient(good.i_abc, axis=0) > 0
-    return replace(good, u_abc=good.u_abc + STUCK * near * np.where(rises, 1.0, -1.0))
+    return replace(good, u_abc=good.u_abc + voltage * near * np.where(rises, 1.0, -1.0))
+
+
+@pytest.fixture(scope="module")
+def stuck(good):
+    return sticking(good, STUCK)
 
 
 def fit(samples):
@@ -88,3 +94,16 @@ def test_a_drop_that_does_not_is_kept_out_of_map_and_resistance(good_fit, stuck,
     clearance = np.concatenate([windows.clearance for windows in found.selection.search.sums.kept()])
     assert np.mean(weights[clearance > 2 * NEAR]) > 0.5
     assert weights[clearance == 0].max() < 1e-2 * weights[clearance > 2 * NEAR].min()
+
+
+@pytest.mark.parametrize("offset", OFFSETS)
+def test_an_offset_of_the_currents_that_explains_the_crossings_needs_no_weights(good, offset):
+    found = fit(replace(good, i_abc=good.i_abc + offset * frames.phases(np.array([1 + 0.5j]))))
+    assert np.isnan(found.crossings)
+    assert found.solution.spec.effects == ("current_offset",)
+
+
+@pytest.mark.parametrize("offset", OFFSETS)
+def test_an_offset_beside_a_drop_that_sticks_does_not_prevent_weights(good, offset):
+    both = replace(good, i_abc=good.i_abc + offset * frames.phases(np.array([1 + 0.5j])))
+    assert fit(sticking(both, STUCK_SOMEWHAT)).crossings > 2

@@ -24,6 +24,11 @@ _SERIES_BELOW = 0.1
 """Half turn, rad, below which the closed form cancels and the series to the 9th power is exact."""
 
 
+def wrapped(angle: FloatArray) -> FloatArray:
+    """Return angles of any shape, rad, between -pi and pi."""
+    return np.asarray(angle - 2 * np.pi * np.rint(angle / (2 * np.pi)))
+
+
 def space_vector(x_abc: FloatArray) -> ComplexArray:
     """Return the stator-frame space vector (...) of phase quantities (..., 3); the zero sequence cancels."""
     a, b, c = np.moveaxis(np.asarray(x_abc), -1, 0)

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import EFFECT_COLUMNS, FullModel
-from drive_id.core.full.windows import MEASURED, WindowCutter, Windows
+from drive_id.core.full.windows import MEASURED, WindowCutter, Windows, interval
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.core.numerics.threads import MOST_THREADS, in_threads, one_blas_thread
@@ -336,7 +336,7 @@ class WindowSums:
         """Collect windows until a segment is complete."""
         usable = self.model.contains(windows)
         self.outside += int((~usable & ~windows.short).sum())
-        segment = windows.interval(SEGMENT)
+        segment = interval(windows.time, SEGMENT)
         for number in np.unique(segment):
             if number != self._segment:
                 self._flush()

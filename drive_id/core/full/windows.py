@@ -125,10 +125,6 @@ class Windows:
     def __len__(self) -> int:
         return len(self.time)
 
-    def interval(self, length: float) -> IntArray:
-        """Return the number (N,) of the interval of ``length`` seconds in which each window starts."""
-        return _interval(self.time, length)
-
     def part(self, selected: slice | IntArray | BoolArray) -> Windows:
         """Return some of the windows."""
         own = ((name, getattr(self, name)) for name in (*MEASURED, *_ADDED))
@@ -338,7 +334,7 @@ class WindowCutter:
             begin_used, end_used = begin_used[moving], end_used[moving]
             whole, sums = len(begin_used), _Sums.over(stretch, self._period, self._shapes.coarse)
             if self._short is not None:
-                wanted = _interval(self._time + self._period * begin_used, self._short) % self.short_every == 0
+                wanted = interval(self._time + self._period * begin_used, self._short) % self.short_every == 0
                 begin_used, end_used = self._with_short(stretch, sums, begin_used, end_used, wanted)
             yield self._windows(stretch, sums, begin_used, end_used, np.arange(len(begin_used)) >= whole)
         self._number += count
@@ -602,7 +598,7 @@ def _integrate(
                     sensed[k, number, effect, 1] += share * moved[effect] * sine
 
 
-def _interval(time: FloatArray, length: float) -> IntArray:
+def interval(time: FloatArray, length: float) -> IntArray:
     """Return the number (N,) of the interval of ``length`` seconds of each time (N,), s."""
     return np.asarray((time + _ROUNDING) / length).astype(np.int64)
 

@@ -295,10 +295,6 @@ class WindowCutter:
         lags = _complex(lagged)
         self._turned, self._heat, self._lagged = float(integrals[-1, 0]), float(integrals[-1, 1]), lags[-1].copy()
         new, later = slice(run.start + continues, run.stop), slice(int(continues), None)
-        link, winding, magnet = (
-            np.full(new.stop - new.start, np.nan) if values is None else values[new]
-            for values in (samples.dc_link_voltage, samples.winding_temperature, samples.magnet_temperature)
-        )
         return _Stretch(  # currents without their sum: they shift the zero crossings as those of two sensors do
             i_abc=np.ascontiguousarray(frames.phases(_complex(i_s)[later])),
             i_s=_complex(i_s)[later],
@@ -310,9 +306,9 @@ class WindowCutter:
             turned=integrals[later, 0],
             heat=integrals[later, 1],
             lagged=lags[later],
-            link=link,
-            winding=winding,
-            magnet=magnet,
+            link=samples.or_unknown("dc_link_voltage")[new],
+            winding=samples.or_unknown("winding_temperature")[new],
+            magnet=samples.or_unknown("magnet_temperature")[new],
         )
 
     def finish(self) -> Iterator[Windows]:

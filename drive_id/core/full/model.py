@@ -312,11 +312,10 @@ class FullModel:
 
     def map_squares(self, windows: Windows) -> float:
         """Return the sum of the squares of the columns of a free map."""
-        first, last = (self.flux.rows(windows.i_dq[:, end]) for end in (0, 1))
-        turn = np.cos(windows.angle[:, 1] - windows.angle[:, 0])
-        values = (_weighted(rows.value, windows.weight) for rows in (first, last))
-        empty = np.zeros((2, self.flux.parameters))
-        return sum_of_squares(first.column, next(values), last.column, next(values), turn, empty)
+        first, last = (self.flux.rows(windows.i_dq[:, end]).sparse(self.flux.parameters) for end in (0, 1))
+        turn = np.repeat(np.cos(windows.angle[:, 1] - windows.angle[:, 0]), 2)
+        squares = first.power(2).sum(axis=1) + last.power(2).sum(axis=1) - 2 * turn * first.multiply(last).sum(axis=1)
+        return float(np.repeat(windows.weights, 2) @ squares)
 
     def _beside_flux(self, windows: Windows) -> FloatArray:
         """Return the columns (N, 2, K) before those of the flux, or before the effects if the windows have none."""
@@ -420,41 +419,6 @@ def add_end(
                     term = value[n, 1, k] * share[entry]
                     out[n, 0, unknown[entry]] -= sine * term
                     out[n, 1, unknown[entry]] += cosine * term
-
-
-@compiled(
-    "const i4[:, :, ::1], const f8[:, :, ::1], const i4[:, :, ::1], const f8[:, :, ::1], const f8[::1], f8[:, ::1]"
-)
-def sum_of_squares(
-    first: ColumnArray,
-    first_value: FloatArray,
-    last: ColumnArray,
-    last_value: FloatArray,
-    turn: FloatArray,
-    empty: FloatArray,
-) -> float:
-    """Return the sum of the squares of the rows of one map with both ends of windows.
-
-    Parameters
-    ----------
-    first, first_value, last, last_value : (N, 2, K)
-        Basis functions at the start and the end, see :func:`add_end`.
-    turn : (N,) float
-        Cosine of the angle turned in between.
-    empty : (2, size) float
-        Zeros, to work in.
-    """
-    total = 0.0
-    for n in range(first.shape[0]):
-        for flux in range(2):
-            for k in range(first.shape[2]):
-                empty[flux, first[n, flux, k]] = first_value[n, flux, k]
-                total += first_value[n, flux, k] ** 2 + last_value[n, flux, k] ** 2
-            for k in range(last.shape[2]):
-                total -= 2 * turn[n] * empty[flux, last[n, flux, k]] * last_value[n, flux, k]
-            for k in range(first.shape[2]):
-                empty[flux, first[n, flux, k]] = 0.0
-    return total
 
 
 @dataclass(frozen=True)

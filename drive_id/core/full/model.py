@@ -521,8 +521,6 @@ def roughness(model: FullModel, total: FloatArray, penalty: float, unit: float |
     ridge[model.crossing] = max(_EFFECT_RIDGE * diagonal[model.crossing], TINY)
     for inverter in (model.drops, model.lags):
         ridge[inverter] = _DROP_RIDGE * float(diagonal[inverter].mean())
-    before, after = model.map.start, model.size - model.map.stop
-    rough = sparse.block_diag(
-        [sparse.csr_array((before, before)), penalty * unit * model.flux.roughness, sparse.csr_array((after, after))]
-    )
+    in_map = sparse.eye_array(model.flux.parameters, model.size, k=model.map.start)
+    rough = in_map.T @ (penalty * unit * model.flux.roughness) @ in_map
     return sparse.csr_array(rough + sparse.diags_array(ridge))

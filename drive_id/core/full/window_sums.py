@@ -71,9 +71,7 @@ class WindowSums:
 
     def next_recording(self, heating: float = 0.0, drop_scale: float = 1.0) -> None:
         """Begin another recording, under its own conditions, see :class:`Windows`."""
-        for windows in self._cutter.finish():
-            self._take(windows)
-        self._flush()
+        self._finish()
         self._recording += self.windows > 0
         self._cutter.restart(SEGMENT * self._next_start(), self._recording)
         self._cutter.set_conditions(heating, drop_scale)
@@ -93,9 +91,7 @@ class WindowSums:
     def finished(self) -> WindowSums:
         """Return a copy that includes the samples not yet in a window; the original can still be extended."""
         other = self.copy()
-        for windows in other._cutter.finish():  # noqa: SLF001  # of its own class
-            other._take(windows)  # noqa: SLF001
-        other._flush()  # noqa: SLF001
+        other._finish()  # noqa: SLF001  # of its own class
         other._form_products()  # noqa: SLF001
         return other
 
@@ -209,9 +205,7 @@ class WindowSums:
     def merge(self, other: WindowSums) -> None:
         """Add the sums over other recordings, of an equal model; ``other`` stays unchanged."""
         theirs = other.finished()
-        for windows in self._cutter.finish():
-            self._take(windows)
-        self._flush()
+        self._finish()
         self._form_products()
         self._some = None
         if self.model.reciprocal != theirs.model.reciprocal:
@@ -336,6 +330,12 @@ class WindowSums:
         """Collect windows until a segment is complete."""
         usable = self.model.contains(windows)
         self.outside += int((~usable & ~windows.short).sum())
+    def _finish(self) -> None:
+        """Take the last windows of a run, and complete their segment."""
+        for windows in self._cutter.finish():
+            self._take(windows)
+        self._flush()
+
         segment = interval(windows.time, SEGMENT)
         for number in np.unique(segment):
             if number != self._segment:

@@ -372,7 +372,7 @@ def _with_wide_curve(search: EffectSearch, solution: FullSolution, noise: Curren
     R takes a part of a drop that still bends at large currents. Which part depends on the shapes. Near zero current,
     the curve amplifies noise, which is not white then.
     """
-    for wide in (1, 2) if solution.spec.inverter else ():
+    for wide in (1, 2):
         wider = search.solver.solve(replace(solution.spec, wide=wide))
         white = np.sqrt(abs(wider.variance_of_resistance - solution.variance_of_resistance))
         least = abs(wider.resistance - solution.resistance) / SIGNIFICANCE

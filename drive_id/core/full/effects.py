@@ -275,17 +275,15 @@ class EffectColumns:
 
     def _flux(self, i_dq: ComplexArray, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return f(i, theta) and its derivative by theta (N, 2), Wb, at currents, A, and angles (N, 2), rad."""
-        model, estimate = self.model, self.estimate
-        flat, angle = frames.as_pairs(i_dq.ravel()), at.reshape(-1, 1)
-        flux, by_angle = model.flux.rows(flat).dot(estimate[model.map]), np.zeros((len(flat), 2))
-        harmonic = model.harmonic.rows(flat)
-        for order in model.orders:
-            if estimate[model.harmonics[order]].any():
-                a, b = (harmonic.dot(half) for half in np.split(estimate[model.harmonics[order]], 2))
-                cosine, sine = np.cos(order * angle), np.sin(order * angle)
-                flux, by_angle = flux + a * cosine + b * sine, by_angle + order * (b * cosine - a * sine)
-        psi, slope = ((x @ np.array([1.0, 1j])).reshape(at.shape) for x in (flux, by_angle))
-        return psi, slope
+        psi, by_angle = self._mean_flux(i_dq), np.zeros_like(i_dq)
+        harmonic = self.model.harmonic.rows(frames.as_pairs(i_dq.ravel()))
+        for order, columns in self.model.harmonics.items():
+            halves = np.split(self.estimate[columns], 2)
+            if self.estimate[columns].any():
+                a, b = ((harmonic.dot(half) @ np.array([1.0, 1j])).reshape(at.shape) for half in halves)
+                cosine, sine = np.cos(order * at), np.sin(order * at)
+                psi, by_angle = psi + a * cosine + b * sine, by_angle + order * (b * cosine - a * sine)
+        return psi, by_angle
 
     def _mean_flux(self, i_dq: ComplexArray) -> ComplexArray:
         """Return f(i) (N, 2) at currents (N, 2), A, in Wb."""

@@ -123,11 +123,8 @@ def _late(found: _ReportedEffect) -> Iterator[Calibration]:
 
 
 def _lag(found: _ReportedEffect) -> Iterator[Calibration]:
-    if found.name == "flux_lag":
-        yield from _late(found)
-    else:
-        lag = 1e-3 * float(found.name.removeprefix("flux_lag_").removesuffix("ms"))
-        yield found.entry(found.name, found.value[0], found.sigma[0], "1", "flux_lag.share", lag=lag)
+    lag = 1e-3 * float(found.name.removeprefix("flux_lag_").removesuffix("ms"))
+    yield found.entry(found.name, found.value[0], found.sigma[0], "1", "flux_lag.share", lag=lag)
 
 
 def _copper(found: _ReportedEffect) -> Iterator[Calibration]:
@@ -214,12 +211,12 @@ _BY_AXIS = {"current_gains": ("current_gain_mismatch", "1"), "current_offset": (
 
 _REPORTS: dict[str, Callable[[_ReportedEffect], Iterator[Calibration]]] = {
     **dict.fromkeys(_OF_ONE_VALUE, _one),
-    **dict.fromkeys(("current_latency", "angle_latency"), _late),
+    **dict.fromkeys(("current_latency", "angle_latency", "flux_lag"), _late),
     **dict.fromkeys(("copper_heating", "copper_recordings"), _copper),
     **dict.fromkeys(("magnet_heating", "magnet_recordings"), _magnet),
     **dict.fromkeys((*_OF_TURN, "resolver_first", "resolver_second"), _of_turn),
     **dict.fromkeys(_BY_AXIS, _of_sensors),
-    **dict.fromkeys((name for name in EFFECTS if name.startswith("flux_lag")), _lag),
+    **dict.fromkeys((name for name in EFFECTS if name.startswith("flux_lag_")), _lag),
     "link_ripple": _ripple,
     "link_sag": _sag,
     "phase_resistance": _phases,

@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from drive_id.core import frames
-from drive_id.core.frames import ComplexArray
+from drive_id.core.frames import ROOT_THIRD, THIRD, ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes, drop_shape
 from drive_id.core.numerics.compiled import compiled
 from drive_id.temperature import REFERENCE_TEMPERATURE
@@ -68,8 +68,6 @@ _WAY_STEP = 5e-4
 """Step in which the way of rotor and current is added up, s: noise lengthens shorter ones."""
 _GOLDEN = 0.6180339887498949
 """Golden section: shifts windows evenly, and never in step with the rotor or the trajectory."""
-_THIRD = 1 / 3
-_ROOT_THIRD = math.sqrt(1 / 3)
 _AXES = np.exp(1j * frames.PHASE_SHIFTS)
 
 
@@ -290,7 +288,7 @@ class WindowCutter:
         a, b, c = np.square(i_abc[1:].T)
         steps = frames.wrapped(np.diff(samples.angle[run]))
         turned = np.cumsum(np.append(self._turned if continues else 0.0, steps))
-        heat = np.cumsum(np.append(self._heat, 2 * _THIRD * (a + b + c) * samples.sample_period))
+        heat = np.cumsum(np.append(self._heat, 2 * THIRD * (a + b + c) * samples.sample_period))
         lags = _complex(lagged)
         self._turned, self._heat, self._lagged = float(turned[-1]), float(heat[-1]), lags[-1].copy()
         new, later = slice(run.start + continues, run.stop), slice(int(continues), None)
@@ -461,7 +459,7 @@ class _Sums:
             voltage=_summed(period * u_s),
             current=_summed(period * i_s),
             loaded=_summed(period * power * u_s),
-            crossing=_summed(2 * _THIRD * period * (rising @ _AXES)),
+            crossing=_summed(2 * THIRD * period * (rising @ _AXES)),
             sensed=_sensed(i_abc, stretch.i_s, period, shapes.scales),
             least=least,
             until=np.append(np.where(crossed, 0.0, least[:-1]), least[-1]),
@@ -507,12 +505,12 @@ def _follow(
     """
     for k in range(len(angle)):
         a, b, c = i_abc[k, 0], i_abc[k, 1], i_abc[k, 2]
-        i_s[k, 0], i_s[k, 1] = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+        i_s[k, 0], i_s[k, 1] = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD
         cosine, sine = math.cos(angle[k]), math.sin(angle[k])
         i_dq[k, 0] = i_s[k, 0] * cosine + i_s[k, 1] * sine
         i_dq[k, 1] = i_s[k, 1] * cosine - i_s[k, 0] * sine
         a, b, c = u_abc[k, 0], u_abc[k, 1], u_abc[k, 2]
-        u_s[k, 0], u_s[k, 1] = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+        u_s[k, 0], u_s[k, 1] = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD
     for lag in range(weights.shape[1]):
         decay, before, now = weights[0, lag], weights[1, lag], weights[2, lag]
         for axis in range(2):
@@ -555,7 +553,7 @@ def _integrate(
             )  # fmt: skip
             for number in range(len(scales)):
                 rise = drop_shape(now / scales[number]) - drop_shape(before / scales[number])
-                share = 2.0 * _THIRD * period * rise / (now - before)
+                share = 2.0 * THIRD * period * rise / (now - before)
                 for effect in range(5):
                     sensed[k, number, effect, 0] += share * moved[effect] * cosine
                     sensed[k, number, effect, 1] += share * moved[effect] * sine

@@ -127,13 +127,12 @@ class Solver:
     ) -> None:
         self.model = model
         self.counts = counts
-        self._folds, self._effects = folds, effects
+        self._folds, self._effects, self._unit = folds, effects, unit
         total = folds[0].copy()
         for one in folds[1:]:
             total += one
         every = None if effects is None else effects.sum(axis=0)
         self.total = with_products(unpacked(total, model.summed.size), every, model)
-        self._unit = float(np.diag(self.total)[model.map].mean()) if unit is None else unit
         self._normals: dict[ModelSpec, _Normal] = {}
 
     @classmethod
@@ -384,9 +383,7 @@ class CurrentNoise:
         return cls(variance, Windows.joined(list(kept)).thinned(_THINNED), angle_variance)
 
 
-def noise_products(
-    solver: Solver, solution: FullSolution, noise: CurrentNoise, squares: float = np.inf
-) -> sparse.csr_array:
+def noise_products(solver: Solver, solution: FullSolution, noise: CurrentNoise, squares: float) -> sparse.csr_array:
     """Return N (size, size), (Vs)^2, see the module.
 
     Parameters

@@ -172,6 +172,12 @@ class Samples:
         found = {name: getattr(self, name) for name in SCALARS}
         return {name: values for name, values in found.items() if values is not None}
 
+    def or_unknown(self, name: str) -> FloatArray:
+        """Return references or an optional signal by name, NaN where there are none."""
+        values: FloatArray | None = getattr(self, name)
+        shape = (len(self), 2) if name == "i_dq_reference" else (len(self),)
+        return np.broadcast_to(np.nan, shape) if values is None else values
+
     def runs(self) -> Iterator[slice]:
         """Yield the gap-free runs as slices, in order of time."""
         ends = np.append(self.run_starts[1:], len(self))
@@ -242,7 +248,7 @@ class Samples:
 
         known = [name for name in _OPTIONAL if any(getattr(part, name) is not None for part in parts)]
         arrays: dict[str, Any] = {name: together(getattr(part, name) for part in parts) for name in _SIGNALS}
-        arrays |= {name: together(_or_unknown(part, name) for part in parts) for name in known}
+        arrays |= {name: together(part.or_unknown(name) for part in parts) for name in known}
         return replace(
             parts[0],
             **arrays,
@@ -263,13 +269,6 @@ def fixed(values: NDArray[Scalar]) -> NDArray[Scalar]:
 def _read_only(values: NDArray[Any], kind: type[Scalar]) -> NDArray[Scalar]:
     """Return values as a contiguous array that nobody can write to, as kernels want it."""
     return fixed(np.array(values, kind, order="C", copy=True if values.flags.writeable else None))
-
-
-def _or_unknown(samples: Samples, name: str) -> FloatArray:
-    """Return an optional array of samples, NaN where they have none."""
-    values: FloatArray | None = getattr(samples, name)
-    shape = (len(samples), 2) if name == "i_dq_reference" else (len(samples),)
-    return np.full(shape, np.nan) if values is None else values
 
 
 _SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed")

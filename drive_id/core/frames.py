@@ -19,9 +19,15 @@ ComplexArray = NDArray[np.complex128]
 PHASE_SHIFTS = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])
 """Angle of the axis of phases a, b, c in the stator frame, rad."""
 
-_THIRD, _ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
+THIRD, ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
+"""Factors of the transformation: divisions are slow in kernels."""
 _SERIES_BELOW = 0.1
 """Half turn, rad, below which the closed form cancels and the series to the 9th power is exact."""
+
+
+def wrapped(angle: FloatArray) -> FloatArray:
+    """Return angles of any shape, rad, between -pi and pi."""
+    return np.asarray(angle - 2 * np.pi * np.rint(angle / (2 * np.pi)))
 
 
 def space_vector(x_abc: FloatArray) -> ComplexArray:
@@ -44,7 +50,7 @@ def to_dq(x_abc: FloatArray, angle: FloatArray) -> FloatArray:
 def _rotate(x_abc: FloatArray, cosine: FloatArray, sine: FloatArray, x_dq: FloatArray) -> None:
     for k in range(len(x_abc)):
         a, b, c = x_abc[k, 0], x_abc[k, 1], x_abc[k, 2]
-        x, y = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+        x, y = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD
         x_dq[k, 0], x_dq[k, 1] = x * cosine[k] + y * sine[k], y * cosine[k] - x * sine[k]
 
 
@@ -96,13 +102,13 @@ def _integrate(
     """
     for k in range(len(angle)):
         a, b, c = x_abc[k, 0], x_abc[k, 1], x_abc[k, 2]
-        x, y = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+        x, y = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD
         half = 0.5 * speed[k] * period
         square, sine = half * half, math.sin(half)
         even = sine / half if half != 0.0 else 1.0
         if linear:
             a, b, c = x_abc[k + 1, 0], x_abc[k + 1, 1], x_abc[k + 1, 2]
-            rise_x, rise_y = (2.0 * a - b - c) * _THIRD - x, (b - c) * _ROOT_THIRD - y
+            rise_x, rise_y = (2.0 * a - b - c) * THIRD - x, (b - c) * ROOT_THIRD - y
             if abs(half) < _SERIES_BELOW:
                 odd = 1.0 - square / 10.0 * (1.0 - square / 28.0 * (1.0 - square / 54.0 * (1.0 - square / 88.0)))
                 odd *= half / 6.0

@@ -45,40 +45,33 @@ class Overviewing:
 
     def __init__(self) -> None:
         self._samples = self._runs = 0
-        self._speed = np.array([np.inf, 0.0, -np.inf])
-        self._square = 0.0
-        self._lost = 0
-        self._first: int | None = None
-        self._last = 0
+        self._turned = self._square = 0.0  # sum of the speeds, rad/s, and of the squared turns per sample, rad^2
+        self._between = 0  # from the last sample of each run to the first one of the next, ns
+        self._first = self._last = 0
         self._period = 0.0
-        self._low, self._high = np.full(2, np.inf), np.full(2, -np.inf)
+        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)  # of i_d, i_q and speed
         self._rows: list[FloatArray] = []
         self._kept: list[FloatArray] = []
 
     def add(self, piece: Piece) -> None:
         """Take further samples."""
         samples, skip = piece.samples, int(piece.continues)
-        if self._first is None:
+        if not self._samples:
             self._first, self._period = int(samples.stamp[0]), samples.sample_period
         elif not piece.continues:
-            self._lost += int(samples.stamp[0]) - self._last - round(1e9 * self._period)
+            self._between += int(samples.stamp[0]) - self._last
         starts = samples.run_starts[1:]
-        self._lost += int(np.sum(samples.stamp[starts] - samples.stamp[starts - 1])) - round(1e9 * self._period) * len(
-            starts
-        )
+        self._between += int(np.sum(samples.stamp[starts] - samples.stamp[starts - 1]))
         self._last = int(samples.stamp[-1])
         self._runs += len(samples.run_starts) - skip
-        speed = samples.speed[skip:]
-        self._speed += [0.0, float(speed.sum()), 0.0]
-        self._speed[0] = min(self._speed[0], float(speed.min(initial=np.inf)))
-        self._speed[2] = max(self._speed[2], float(speed.max(initial=-np.inf)))
+        i_dq, speed = frames.to_dq(samples.i_abc, samples.angle)[skip:], samples.speed[skip:]
+        self._turned += float(speed.sum())
         self._square += float(np.sum((speed * samples.sample_period) ** 2))
-        i_dq = frames.to_dq(samples.i_abc, samples.angle)[skip:]
-        self._low, self._high = np.minimum(self._low, i_dq.min(axis=0)), np.maximum(self._high, i_dq.max(axis=0))
-        reference = samples.i_dq_reference
-        wanted = np.full_like(i_dq, np.nan) if reference is None else reference[skip:]
+        wanted = samples.or_unknown("i_dq_reference")[skip:]
         time = (samples.stamp[skip:] - self._first) * 1e-9
         rows = np.column_stack([time, i_dq, wanted, speed])
+        reached = rows[:, [1, 2, 5]]
+        self._low, self._high = np.minimum(self._low, reached.min(axis=0)), np.maximum(self._high, reached.max(axis=0))
         self._samples += len(rows)
         self._rows.append(rows[:: max(len(rows) // _POINTS, 1)])
         self._kept.append(i_dq[:: max(len(rows) // (8 * _POINTS), 1)])
@@ -94,21 +87,21 @@ class Overviewing:
         inside = visits.inside(i_max / _REACH, i_max / _REACH)
         rows = np.concatenate(self._rows)
         rows = rows[:: max(len(rows) // _POINTS, 1)]
-        low, total, high = self._speed.tolist()
+        low, high = self._low.tolist(), self._high.tolist()
         figures = {
             "samples": self._samples,
             "runs": self._runs,
             "duration": self._samples * self._period,
             "sample_period": self._period,
-            "time_lost": self._lost * 1e-9,
-            "speed_min": low,
-            "speed_mean": total / self._samples,
-            "speed_max": high,
+            "time_lost": (self._between - round(1e9 * self._period) * (self._runs - 1)) * 1e-9,
+            "speed_min": low[2],
+            "speed_mean": self._turned / self._samples,
+            "speed_max": high[2],
             "turn_per_sample": float(np.sqrt(self._square / self._samples)),
-            "i_d_min": float(self._low[0]),
-            "i_d_max": float(self._high[0]),
-            "i_q_min": float(self._low[1]),
-            "i_q_max": float(self._high[1]),
+            "i_d_min": low[0],
+            "i_d_max": high[0],
+            "i_q_min": low[1],
+            "i_q_max": high[1],
             "i_max": i_max,
             "coverage": disc_coverage(axis, axis, inside, i_max),
         }

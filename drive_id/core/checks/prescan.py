@@ -25,9 +25,7 @@ from drive_id.core.checks.single_samples import SingleSamples
 from drive_id.core.checks.waveforms import waveform_findings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.largest import KEPT, USUAL_QUANTILE, Largest, top_quantile
-from drive_id.core.numerics.scans import all_finite
 from drive_id.core.signals.join import Piece
 from drive_id.core.signals.signal import finite_rows
 from drive_id.errors import CoverageError, DataError, StandstillError
@@ -70,9 +68,10 @@ class Prescan:
 
     def __init__(self, kept: int = KEPT) -> None:
         self.samples = 0
-        self._turns: FloatArray = np.zeros((2, 4))  # see _follow_rotor; by the speed, and by the angle
-        self._turns[:, 1], self._turns[:, 2] = np.inf, -np.inf
-        self._products: FloatArray = np.zeros(4)  # see _follow_rotor
+        self._turned: FloatArray = np.zeros((2, 1))  # so far, by the speed and by the angle, rad
+        self._turned_low, self._turned_high = np.full(2, np.inf), np.full(2, -np.inf)
+        self._advances: FloatArray = np.zeros((2, 0))  # from sample to sample since the last full window
+        self._products: FloatArray = np.zeros(3)  # see _follow_rotor
         self._low: FloatArray = np.full(2, np.inf)  # of i_d and i_q, A
         self._high: FloatArray = np.full(2, -np.inf)
         self._step_square: FloatArray = np.zeros(2)
@@ -92,10 +91,8 @@ class Prescan:
     def copy(self) -> Prescan:
         """Return an independent copy."""
         other = copy.copy(self)
-        for name in ("_turns", "_products", "_amplitudes", "_jumps"):
+        for name in ("_amplitudes", "_jumps", "_excerpt", "_single"):
             setattr(other, name, getattr(self, name).copy())
-        other._excerpt = self._excerpt.copy()  # noqa: SLF001  # of its own class
-        other._single = self._single.copy()  # noqa: SLF001
         return other
 
     def add(self, samples: Samples, *, continues: bool = False) -> None:
@@ -122,9 +119,7 @@ class Prescan:
         for run in samples.runs():
             self._step_square = self._step_square + np.sum(np.diff(i_dq[run], axis=0) ** 2, axis=0)
             self._steps += run.stop - run.start - 1
-            _follow_rotor(
-                samples.angle[run], samples.speed[run], samples.sample_period, self._turns, self._products, jumps[run]
-            )
+            jumps[run, 0][1:] = self._follow_rotor(samples.angle[run], samples.speed[run] * samples.sample_period)
         self._single.add(samples, i_dq, jumps[:, 1], continues=continues)
         self._amplitudes.add(rows[new])
         self._jumps.add(jumps[new])
@@ -232,15 +227,38 @@ class Prescan:
         """Take the references (N, 2), A, and return which of them are known, as numbers (N,), or for all alike."""
         if i_dq is None:
             return 0.0
-        i_dq = i_dq[new]
-        finite = all_finite(i_dq)
-        rows = np.ones(len(i_dq), np.bool_) if finite else finite_rows(i_dq)
-        known = i_dq if finite else i_dq[rows]
+        rows = finite_rows(i_dq[new])
+        known = i_dq[new][rows]
         self._referenced += len(known)
         self._largest_reference = max(self._largest_reference, float(np.hypot(*known.T).max(initial=0.0)))
         self._reference_low = np.minimum(self._reference_low, [axis.min(initial=np.inf) for axis in known.T])
         self._reference_high = np.maximum(self._reference_high, [axis.max(initial=-np.inf) for axis in known.T])
         return rows.astype(np.float64)
+
+    def _follow_rotor(self, angle: FloatArray, expected: FloatArray) -> FloatArray:
+        """Follow the rotor over one run; return by how much it advances otherwise than expected (N - 1,), rad.
+
+        ``_products`` are sums over all full windows: of the squared turns by the speed and of their products with those
+        by the angle, rad^2, and the way there and back by the angle, rad.
+
+        Parameters
+        ----------
+        angle : (N,) float
+            rad.
+        expected : (N,) float
+            Advance by the speed until the next sample, rad.
+        """
+        advances = np.stack([expected[:-1], frames.wrapped(np.diff(angle))])
+        turned = np.cumsum(np.append(self._turned, advances, axis=1), axis=1)
+        self._turned = turned[:, -1:].copy()
+        self._turned_low = np.minimum(self._turned_low, turned[:, 1:].min(axis=1, initial=np.inf))
+        self._turned_high = np.maximum(self._turned_high, turned[:, 1:].max(axis=1, initial=-np.inf))
+        every = np.append(self._advances, advances, axis=1)
+        full = every.shape[1] // _WINDOW * _WINDOW
+        by_speed, by_angle = every[:, :full].reshape(2, -1, _WINDOW).sum(axis=2)
+        self._advances = every[:, full:].copy()
+        self._products = self._products + np.array([by_speed @ by_speed, by_speed @ by_angle, np.abs(by_angle).sum()])
+        return np.abs(frames.wrapped(advances[1] - advances[0]))
 
     def _on_jumps(self) -> Iterator[Message]:
         if not self.samples:
@@ -253,11 +271,11 @@ class Prescan:
 
     def _on_rotation(self, runs: Sequence[Samples]) -> Iterator[Message]:
         with np.errstate(invalid="ignore"):
-            turned = max(float((self._turns[:, 2] - self._turns[:, 1]).max()), 0.0)
+            turned = max(float((self._turned_high - self._turned_low).max()), 0.0)
         if turned < 2 * np.pi:  # electrical: each position once
-            yield standstill_finding(turned, float(self._products[3]))
+            yield standstill_finding(turned, float(self._products[2]))
             return
-        expected, advance = self._turns[:, 3]
+        expected, advance = self._advances.sum(axis=1)
         square, product = self._products[0] + expected**2, self._products[1] + expected * advance
         ratio = float(product / square) if square > 0 else 0.0
         if not abs(ratio - 1) <= SPEED_TOLERANCE and math.isnan(speed_lag(runs)):
@@ -274,47 +292,3 @@ class Prescan:
         largest, usual = float(self._amplitudes.rows()[:, 0].max()), self._usual
         if largest > _FAULT_FACTOR * usual:
             yield Message("current_spike", largest=largest, usual=usual, share=USUAL_QUANTILE)
-
-
-@compiled("const f8[::1], const f8[::1], f8, f8[:, ::1], f8[::1], f8[:, ::1]")
-def _follow_rotor(
-    angle: FloatArray, speed: FloatArray, period: float, turns: FloatArray, products: FloatArray, jumps: FloatArray
-) -> None:
-    """Follow the rotor over one run.
-
-    Parameters
-    ----------
-    angle, speed : (N,) float
-        rad and rad/s.
-    period : float
-        s.
-    turns : (2, 4) float
-        By the speed and by the angle, rad: turned so far, its minimum and maximum, and since the last full window.
-    products : (4,) float
-        Over all full windows, the squared turns by the speed and their products with those by the angle, rad^2; the
-        number of advances since the last one; and the way there and back by the angle over all full windows, rad.
-    jumps : (N, C) float
-        The first column becomes the difference between the angle and its prediction from the speed, rad.
-    """
-    for k in range(1, len(angle)):
-        expected = speed[k - 1] * period
-        advance = _wrapped(angle[k] - angle[k - 1])
-        jumps[k, 0] = abs(_wrapped(advance - expected))
-        for way, step in ((0, expected), (1, advance)):
-            turns[way, 0] += step
-            turns[way, 1] = min(turns[way, 1], turns[way, 0])
-            turns[way, 2] = max(turns[way, 2], turns[way, 0])
-            turns[way, 3] += step
-        products[2] += 1
-        if products[2] == _WINDOW:
-            products[0] += turns[0, 3] * turns[0, 3]
-            products[1] += turns[0, 3] * turns[1, 3]
-            products[3] += abs(turns[1, 3])
-            turns[0, 3] = turns[1, 3] = products[2] = 0.0
-
-
-@compiled("f8")
-def _wrapped(angle: float) -> float:
-    """Return the angle, rad, between -pi and pi."""
-    wrapped: float = angle - 2.0 * np.pi * np.rint(angle / (2.0 * np.pi))
-    return wrapped

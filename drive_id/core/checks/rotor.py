@@ -45,13 +45,11 @@ def time_findings(periods: Sequence[float]) -> Iterator[Message]:
 
 def unit_findings(runs: Sequence[Samples]) -> Iterator[Message]:
     """Yield an angle that is not in radians, detected from the step by which it wraps."""
-    steps = [np.diff(run.angle) for run in runs]
-    angles = np.concatenate([run.angle for run in runs])
-    spread = float(np.ptp(angles))
-    every = np.concatenate(steps) if steps else np.zeros(0)
-    wraps = np.abs(every) > 0.6 * spread
+    steps = np.concatenate([np.diff(run.angle) for run in runs])
+    spread = float(np.ptp(np.concatenate([run.angle for run in runs])))
+    wraps = np.abs(steps) > 0.6 * spread
     if wraps.sum() >= _FEWEST_WRAPS and spread > 0:
-        turn = float(np.median(np.abs(every[wraps]))) + float(np.median(np.abs(every[~wraps])))
+        turn = float(np.median(np.abs(steps[wraps]))) + float(np.median(np.abs(steps[~wraps])))
         whole = round(turn / (2 * np.pi))
         if 1 <= whole < _MOST_POLE_PAIRS and abs(turn / (2 * np.pi) / whole - 1) < 0.5 * _MEANT:
             return

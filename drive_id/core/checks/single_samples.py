@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from drive_id.core import frames
 from drive_id.core.numerics.largest import Largest
 from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
@@ -86,11 +87,9 @@ class SingleSamples:
 def _scan(run: Sequence[FloatArray], currents: Largest, angles: Largest) -> None:
     """Add the bends of a run of i_dq, i_abc, angle and time."""
     i_dq, i_abc, angle, time = run
-    at, turn = time[2:-2], 2 * np.pi
+    at, steps = time[2:-2], frames.wrapped(np.diff(angle))
     if not len(at):
         return
-    steps = np.diff(angle)
-    steps -= turn * np.rint(steps / turn)
     currents.add(np.column_stack([*_pattern(_off_middle(i_dq)), at, np.abs(_off_middle(i_abc)[1:-1]).argmax(axis=1)]))
     angles.add(np.column_stack([*_pattern(0.5 * (steps[:-1] - steps[1:])[:, None]), at]))
 

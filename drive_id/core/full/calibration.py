@@ -286,8 +286,5 @@ def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:
 
 def _delayed(u_s: ComplexArray, delay: float) -> ComplexArray:
     """Return the mean over each sample of a held voltage that acts ``delay`` samples later."""
-    place = np.arange(len(u_s)) - delay
-    first = np.floor(place).astype(np.int64)
-    share = place - first
-    last = len(u_s) - 1
-    return np.asarray((1 - share) * u_s[np.clip(first, 0, last)] + share * u_s[np.clip(first + 1, 0, last)])
+    place = np.arange(len(u_s), dtype=np.float64)
+    return np.interp(place - delay, place, u_s)

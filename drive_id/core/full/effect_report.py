@@ -109,12 +109,8 @@ class _ReportedEffect:
 
 
 def _one(found: _ReportedEffect) -> Iterator[Calibration]:
-    name, unit = _OF_ONE_VALUE[found.name]
-    yield found.entry(name, found.value[0], found.sigma[0], unit)
-
-
-def _sag(found: _ReportedEffect) -> Iterator[Calibration]:
-    yield found.entry("link_sag", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
+    name, unit, of_unit = _OF_ONE_VALUE[found.name]
+    yield found.entry(name, of_unit * found.value[0], of_unit * found.sigma[0], unit)
 
 
 def _late(found: _ReportedEffect) -> Iterator[Calibration]:
@@ -123,11 +119,8 @@ def _late(found: _ReportedEffect) -> Iterator[Calibration]:
 
 
 def _lag(found: _ReportedEffect) -> Iterator[Calibration]:
-    if found.name == "flux_lag":
-        yield from _late(found)
-    else:
-        lag = 1e-3 * float(found.name.removeprefix("flux_lag_").removesuffix("ms"))
-        yield found.entry(found.name, found.value[0], found.sigma[0], "1", "flux_lag.share", lag=lag)
+    lag = 1e-3 * float(found.name.removeprefix("flux_lag_").removesuffix("ms"))
+    yield found.entry(found.name, found.value[0], found.sigma[0], "1", "flux_lag.share", lag=lag)
 
 
 def _copper(found: _ReportedEffect) -> Iterator[Calibration]:
@@ -159,10 +152,11 @@ def _magnet(found: _ReportedEffect) -> Iterator[Calibration]:
             yield found.entry(name, x, dx, "Wb", key, recording=k + 2)
 
 
-def _of_turn(found: _ReportedEffect) -> Iterator[Calibration]:
-    name, unit = _OF_TURN.get(found.name, (found.name, "rad"))
-    pairs = found.fit.selection.search.found.columns.pole_pairs
-    yield found.entry(name, *_amplitude(found), unit, pole_pairs=pairs)
+def _wave(found: _ReportedEffect) -> Iterator[Calibration]:
+    name, unit = _OF_WAVE.get(found.name, (found.name, "rad"))
+    columns = found.fit.selection.search.found.columns
+    told = {"frequency": columns.ripple} if found.name == "link_ripple" else {"pole_pairs": columns.pole_pairs}
+    yield found.entry(name, *_amplitude(found), unit, **told)
 
 
 def _amplitude(found: _ReportedEffect) -> tuple[float, float]:
@@ -171,11 +165,6 @@ def _amplitude(found: _ReportedEffect) -> tuple[float, float]:
     met = [k for k in range(len(pairs)) if found.fit.met(found.name, 2 * k)]
     amplitude = np.sqrt(np.mean(np.sum(pairs[met] ** 2, axis=1)))
     return float(amplitude), float(np.sqrt(np.mean(errors[met] ** 2) / len(met)))
-
-
-def _ripple(found: _ReportedEffect) -> Iterator[Calibration]:
-    frequency = found.fit.selection.search.found.columns.ripple
-    yield found.entry("link_ripple", *_amplitude(found), "1", frequency=frequency)
 
 
 def _phases(found: _ReportedEffect) -> Iterator[Calibration]:
@@ -201,27 +190,30 @@ def _gains(found: _ReportedEffect) -> Iterator[Calibration]:
 
 
 _OF_ONE_VALUE = {
-    "iron_loss": ("iron_loss_conductance", "S"),
-    "hysteresis": ("iron_loss_hysteresis", "S rad/s"),
-    "coercivity": ("iron_loss_current", "A"),
-    "dc_link": ("dc_link_share", "1"),
-    "current_rotation": (CURRENT_ROTATION, "rad"),
+    "iron_loss": ("iron_loss_conductance", "S", 1.0),
+    "hysteresis": ("iron_loss_hysteresis", "S rad/s", 1.0),
+    "coercivity": ("iron_loss_current", "A", 1.0),
+    "dc_link": ("dc_link_share", "1", 1.0),
+    "link_sag": ("link_sag", "%/kW", 1e5),
+    "current_rotation": (CURRENT_ROTATION, "rad", 1.0),
 }
-"""Names and units under which effects are reported."""
-_OF_TURN = {"eccentricity": ("resolver_eccentricity", "rad"), "eccentric_rotor": ("rotor_eccentricity", "1")}
+"""Names and units under which effects are reported, and how many of the unit are one SI unit."""
+_OF_WAVE = {
+    "eccentricity": ("resolver_eccentricity", "rad"),
+    "eccentric_rotor": ("rotor_eccentricity", "1"),
+    "link_ripple": ("link_ripple", "1"),
+}
 _BY_AXIS = {"current_gains": ("current_gain_mismatch", "1"), "current_offset": ("current_offset", "A")}
 """Names and units, likewise."""
 
 _REPORTS: dict[str, Callable[[_ReportedEffect], Iterator[Calibration]]] = {
     **dict.fromkeys(_OF_ONE_VALUE, _one),
-    **dict.fromkeys(("current_latency", "angle_latency"), _late),
+    **dict.fromkeys(("current_latency", "angle_latency", "flux_lag"), _late),
     **dict.fromkeys(("copper_heating", "copper_recordings"), _copper),
     **dict.fromkeys(("magnet_heating", "magnet_recordings"), _magnet),
-    **dict.fromkeys((*_OF_TURN, "resolver_first", "resolver_second"), _of_turn),
+    **dict.fromkeys((*_OF_WAVE, "resolver_first", "resolver_second"), _wave),
     **dict.fromkeys(_BY_AXIS, _of_sensors),
-    **dict.fromkeys((name for name in EFFECTS if name.startswith("flux_lag")), _lag),
-    "link_ripple": _ripple,
-    "link_sag": _sag,
+    **dict.fromkeys((name for name in EFFECTS if name.startswith("flux_lag_")), _lag),
     "phase_resistance": _phases,
     "voltage_gains": _gains,
 }

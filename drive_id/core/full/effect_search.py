@@ -39,8 +39,6 @@ _GROWN = 1.03
 """Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
 _SETTLING, _SETTLED = 5, 0.01
 """Most linearizations, and the relative decrease of the residuals below which they end."""
-_MOST_POLE_PAIRS = 16
-"""Tried where the number is not known: as many as common machines have."""
 _AT_ONE_SPEED = {"hysteresis": "iron_loss"}
 _TURNING = {DELAY, "current_latency", "angle_latency", "iron_loss", "hysteresis", "coercivity"}
 """All of them turn the flux against the currents: at one speed they resemble one another, and only the bends of the map
@@ -383,14 +381,4 @@ def _columns(sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole
     columns = EffectColumns(model, solution.estimate, float(windows.heat.max()), mean, pole_pairs, ripple)
     if pole_pairs is not None:
         return columns
-    return replace(columns, pole_pairs=_pole_pairs(columns, windows.thinned(SEARCHED)))
-
-
-def _pole_pairs(columns: EffectColumns, windows: Windows) -> int:
-    """Return the number of pole pairs at which resolver eccentricity reduces the residuals most."""
-    left, weights = columns.model.residuals(windows, columns.estimate).T.ravel(), np.sqrt(windows.weights)[:, None]
-    shares = {}
-    for pairs, z in columns.eccentricity(windows, range(2, _MOST_POLE_PAIRS + 1)):
-        rows = np.concatenate([weights * z.real, weights * z.imag])
-        shares[pairs] = float(np.sum((rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]) ** 2))
-    return max(shares, key=lambda pairs: shares[pairs])
+    return replace(columns, pole_pairs=columns.likely_pole_pairs(windows.thinned(SEARCHED)))

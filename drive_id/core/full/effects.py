@@ -49,7 +49,7 @@ no unknown of its own and makes the repeated linearization converge to the nonli
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,6 +87,9 @@ OF_SENSORS = ("current_rotation", "current_gains", "current_offset")
 
 _SLOWEST = 1.0
 """Speed below which hysteresis cannot be distinguished from noise, rad/s."""
+
+_MOST_POLE_PAIRS = 16
+"""Tried where the number is not known: as many as common machines have."""
 
 _BENDS = 0.1
 """Of a cell of the map: a shift of the current by which a cubic spline keeps its slope within some percent."""
@@ -174,14 +177,18 @@ class EffectColumns:
                 out[:, EFFECTS[name].start + k] = column
         return out
 
-    def eccentricity(self, windows: Windows, candidates: Iterable[int]) -> Iterator[tuple[int, ComplexArray]]:
-        """Yield numbers of pole pairs and the columns (N, 2 MOST_RUNS) of an eccentric resolver."""
+    def likely_pole_pairs(self, windows: Windows) -> int:
+        """Return the number of pole pairs at which resolver eccentricity reduces the residuals most."""
         i_dq: ComplexArray = windows.i_dq[..., 0] + 1j * windows.i_dq[..., 1]
         psi, by_angle = self._flux(i_dq, windows.angle)
         tilt = np.exp(1j * windows.angle) * (1j * psi + by_angle - self._jacobian(windows)(1j * i_dq))
-        for pole_pairs in candidates:
-            waves = _mechanical_waves(windows, pole_pairs)
-            yield pole_pairs, np.stack([between(tilt * wave) for wave in waves], axis=1)
+        left, weights = self.model.residuals(windows, self.estimate).T.ravel(), np.sqrt(windows.weights)[:, None]
+        shares = {}
+        for pairs in range(2, _MOST_POLE_PAIRS + 1):
+            z = weights * np.stack([between(tilt * wave) for wave in _mechanical_waves(windows, pairs)], axis=1)
+            rows = np.concatenate([z.real, z.imag])
+            shares[pairs] = float(np.sum((rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]) ** 2))
+        return max(shares, key=lambda pairs: shares[pairs])
 
     def _value(self, name: str) -> FloatArray:
         return self.estimate[self.model.effect(name)]
@@ -275,17 +282,15 @@ class EffectColumns:
 
     def _flux(self, i_dq: ComplexArray, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """Return f(i, theta) and its derivative by theta (N, 2), Wb, at currents, A, and angles (N, 2), rad."""
-        model, estimate = self.model, self.estimate
-        flat, angle = frames.as_pairs(i_dq.ravel()), at.reshape(-1, 1)
-        flux, by_angle = model.flux.rows(flat).dot(estimate[model.map]), np.zeros((len(flat), 2))
-        harmonic = model.harmonic.rows(flat)
-        for order in model.orders:
-            if estimate[model.harmonics[order]].any():
-                a, b = (harmonic.dot(half) for half in np.split(estimate[model.harmonics[order]], 2))
-                cosine, sine = np.cos(order * angle), np.sin(order * angle)
-                flux, by_angle = flux + a * cosine + b * sine, by_angle + order * (b * cosine - a * sine)
-        psi, slope = ((x @ np.array([1.0, 1j])).reshape(at.shape) for x in (flux, by_angle))
-        return psi, slope
+        psi, by_angle = self._mean_flux(i_dq), np.zeros_like(i_dq)
+        harmonic = self.model.harmonic.rows(frames.as_pairs(i_dq.ravel()))
+        for order, columns in self.model.harmonics.items():
+            halves = np.split(self.estimate[columns], 2)
+            if self.estimate[columns].any():
+                a, b = ((harmonic.dot(half) @ np.array([1.0, 1j])).reshape(at.shape) for half in halves)
+                cosine, sine = np.cos(order * at), np.sin(order * at)
+                psi, by_angle = psi + a * cosine + b * sine, by_angle + order * (b * cosine - a * sine)
+        return psi, by_angle
 
     def _mean_flux(self, i_dq: ComplexArray) -> ComplexArray:
         """Return f(i) (N, 2) at currents (N, 2), A, in Wb."""

@@ -107,11 +107,6 @@ class FullFit:
         """Tell (N,) where the symmetric part of the flux map's Jacobian at currents (N, 2), A, is positive definite."""
         return positive_definite(jacobian(self.model.flux, self.solution.estimate[self.model.map], i_dq))
 
-    @property
-    def sigma_resistance(self) -> float:
-        """Ohm."""
-        return self.sigma(RESISTANCE)
-
 
 @dataclass(frozen=True, eq=False)
 class EarlierFit:
@@ -253,8 +248,6 @@ def _among_curves(solver: Solver, solution: FullSolution) -> FloatArray:
     true, and R takes the difference.
     """
     spec = solution.spec
-    if not spec.inverter:
-        return np.zeros(solver.model.size)
     fewer, more = (solver.solve(replace(spec, wide=wide)) for wide in ((1, 2) if spec.wide else (0, 1)))
     change = more.estimate - fewer.estimate
     noise = np.sqrt(abs(more.variance_of_resistance - fewer.variance_of_resistance))

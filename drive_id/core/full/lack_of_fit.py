@@ -10,7 +10,7 @@ Candidate causes are compared by score tests: the share of the squared residuals
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -62,8 +62,8 @@ class GroupSums:
     """Scores and residuals of windows, summed by cell of the current plane and by rotor position."""
 
     def __init__(self, unknowns: int) -> None:
-        self._by_cell = [np.zeros((_CELLS**2, width)) for width in (unknowns, 5, 5)]  # scores, facts, flux facts
-        self._by_position = [np.zeros((_POSITIONS, width)) for width in (unknowns, 5)]  # scores, facts
+        self._by_cell = np.zeros((_CELLS**2, unknowns + 10))  # scores, 5 facts, 5 flux facts
+        self._by_position = np.zeros((_POSITIONS, unknowns + 5))  # scores, 5 facts
 
     def add(self, windows: Windows, rows: FloatArray, expected: FloatArray, i_max: float) -> None:
         """Add windows.
@@ -84,14 +84,14 @@ class GroupSums:
         cell = _cell(windows.i_dq.mean(axis=1), i_max)
         position = (np.mod(windows.angle[:, 0], 2 * np.pi) / (2 * np.pi) * _POSITIONS).astype(np.int64)
         position = np.minimum(position, _POSITIONS - 1)
-        _add_by(cell, self._by_cell, (scores, facts, _flux_facts(windows, turned)))
-        _add_by(position, self._by_position, (scores, facts))
+        found = np.concatenate([scores, facts, _flux_facts(windows, turned)], axis=1)
+        self._by_cell += _members(cell, _CELLS**2) @ found
+        self._by_position += _members(position, _POSITIONS) @ found[:, :-5]
 
     def merge(self, other: GroupSums) -> None:
         """Add the sums over other windows."""
-        theirs = (*other._by_cell, *other._by_position)
-        for own, more in zip((*self._by_cell, *self._by_position), theirs, strict=True):
-            own[...] += more
+        self._by_cell += other._by_cell
+        self._by_position += other._by_position
 
     def lack_of_fit(self, model: FullModel, solution: FullSolution, share: float) -> LackOfFit:
         """Compare the residuals with noise, by region of the current plane and by rotor position.
@@ -101,7 +101,8 @@ class GroupSums:
         share : float
             Number of all windows over that of the windows added.
         """
-        (by_cell, cells, fluxes), (by_position, positions) = self._by_cell, self._by_position
+        by_cell, cells, fluxes = np.split(self._by_cell, [-10, -5], axis=1)
+        by_position, positions = np.split(self._by_position, [-5], axis=1)
         squares = cells[:, 3] / np.maximum(cells[:, 4], TINY)
         enough = cells[:, 0] > _FEWEST
         worst = int(np.argmax(np.where(enough, squares, 0.0)))
@@ -122,12 +123,9 @@ class GroupSums:
         )
 
 
-def _add_by(group: IntArray, totals: Sequence[FloatArray], values: Sequence[FloatArray]) -> None:
-    """Add the rows of values (N, ...) to the totals (G, ...) of their groups (N,)."""
-    chosen = (np.ones(len(group)), (group, np.arange(len(group))))
-    sums = sparse.csr_array(chosen, shape=(len(totals[0]), len(group)))
-    for total, value in zip(totals, values, strict=True):
-        total[...] += sums @ value
+def _members(group: IntArray, count: int) -> sparse.csr_array:
+    """Return the matrix (count, N) that sums rows (N, ...) over their groups (N,)."""
+    return sparse.csr_array((np.ones(len(group)), (group, np.arange(len(group)))), shape=(count, len(group)))
 
 
 def _flux_facts(windows: Windows, turned: ComplexArray) -> FloatArray:

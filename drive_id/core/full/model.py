@@ -201,14 +201,10 @@ class FullModel:
         """Columns of the effects that depend on the map, see :mod:`drive_id.core.full.effects`."""
         return slice(self.crossing + 1, self.crossing + 1 + EFFECT_COLUMNS)
 
-    @cached_property
-    def _effects(self) -> dict[str, slice]:
-        start = self.effects.start
-        return {name: slice(start + own.start, start + own.stop) for name, own in EFFECTS.items()}
-
     def effect(self, name: str) -> slice:
         """Columns of one effect."""
-        return self._effects[name]
+        start, own = self.effects.start, EFFECTS[name]
+        return slice(start + own.start, start + own.stop)
 
     @cached_property
     def columns(self) -> Layout:
@@ -270,7 +266,7 @@ class FullModel:
         They come in groups of windows that are close in current: these share most nonzero basis functions.
         """
         order, edges = _neighbours(windows.i_dq.reshape(len(windows), -1))
-        beside = self._beside_flux(windows)
+        beside, roots = self._beside_flux(windows), np.sqrt(windows.weights)[:, None, None]
         known = np.flatnonzero(beside.any(axis=(0, 1)))
         beside = beside.take(known, axis=2)
         ends = list(self._ends(windows.i_dq[order], windows.angle[order], self.summed, self.orders))
@@ -279,11 +275,8 @@ class FullModel:
         for group in (slice(*each) for each in pairwise(edges)):
             columns = [known]
             for both in zip(ends[:spaces], ends[spaces:], strict=True):
-                met = [column[group] for _, column, *_ in both]
-                used = np.zeros(1 + max(int(column.max()) for column in met), np.bool_)
-                for column in met:
-                    used[column] = True
-                columns.append((both[0][3][:, None] + np.flatnonzero(used)).ravel())
+                used = np.flatnonzero(np.bincount(np.ravel([column[group] for _, column, *_ in both])))
+                columns.append((both[0][3][:, None] + used).ravel())
             indices = np.concatenate(columns)
             place[indices] = np.arange(len(indices))
             out = np.zeros((group.stop - group.start, 2, len(indices)))
@@ -291,8 +284,8 @@ class FullModel:
             for turn, column, value, start, factor in ends:
                 of_group = column[group], value[group], turn[group], start, factor[:, group].copy()
                 add_end(*of_group, one_each, place, shares, out)
-            rows = _weighted(out, None if windows.weight is None else windows.weight[order[group]])
-            yield rows.reshape(-1, out.shape[2]), indices
+            out *= roots[order[group]]
+            yield out.reshape(-1, out.shape[2]), indices
 
     def residuals(self, windows: Windows, estimate: FloatArray) -> FloatArray:
         """Return Z times an estimate (size,), (N, 2), Vs."""
@@ -308,38 +301,32 @@ class FullModel:
         out[:, :, used] = known[:, :, met] @ beside[np.ix_(met, used)]
         for turn, column, value, start, factor in self._ends(windows.i_dq, windows.angle, self.columns, orders):
             add_end(column, value, turn, start, factor, t.indptr, t.indices, t.data, out)
-        return _weighted(out, windows.weight)
+        out *= np.sqrt(windows.weights)[:, None, None]
+        return out
 
     def map_squares(self, windows: Windows) -> float:
         """Return the sum of the squares of the columns of a free map."""
-        first, last = (self.flux.rows(windows.i_dq[:, end]) for end in (0, 1))
-        turn = np.cos(windows.angle[:, 1] - windows.angle[:, 0])
-        values = (_weighted(rows.value, windows.weight) for rows in (first, last))
-        empty = np.zeros((2, self.flux.parameters))
-        return sum_of_squares(first.column, next(values), last.column, next(values), turn, empty)
+        first, last = (self.flux.rows(windows.i_dq[:, end]).sparse(self.flux.parameters) for end in (0, 1))
+        turn = np.repeat(np.cos(windows.angle[:, 1] - windows.angle[:, 0]), 2)
+        squares = first.power(2).sum(axis=1) + last.power(2).sum(axis=1) - 2 * turn * first.multiply(last).sum(axis=1)
+        return float(np.repeat(windows.weights, 2) @ squares)
 
     def _beside_flux(self, windows: Windows) -> FloatArray:
         """Return the columns (N, 2, K) before those of the flux, or before the effects if the windows have none."""
-        count, drops = len(windows), self.drops
-        out = np.zeros((count, 2, self.effects.start if windows.effects is None else self.map.start))
-        known = np.concatenate(
-            [windows.voltage[:, None], (windows.current * (1 + COPPER * windows.heating))[:, None]], axis=1
-        )
-        out[:, 0, :2], out[:, 1, :2] = known.real, known.imag
-        out[:, 0, CONSTANT.start] = out[:, 1, CONSTANT.start + 1] = windows.duration
-        out[:, 0, SHIFT], out[:, 1, SHIFT] = windows.shifted.real, windows.shifted.imag
-        magnet = windows.magnet_heating * np.diff(np.exp(1j * windows.angle), axis=1)[:, 0]
-        out[:, 0, MAGNET], out[:, 1, MAGNET] = magnet.real, magnet.imag
-        a, b, c = np.moveaxis(windows.shape * windows.drop_scale[:, None, None], -1, 0)
-        zero = np.zeros_like(a)
-        out[:, 0, drops] = np.stack([2 * a, -b, -c], axis=-1).reshape(count, -1) / 3
-        out[:, 1, drops] = np.stack([zero, b, -c], axis=-1).reshape(count, -1) / np.sqrt(3)
-        lag = windows.lag * windows.drop_scale[:, None]
-        out[:, 0, self.lags], out[:, 1, self.lags] = lag.real, lag.imag
-        out[:, 0, self.crossing], out[:, 1, self.crossing] = windows.crossing.real, windows.crossing.imag
+        count, (a, b, c) = len(windows), np.moveaxis(windows.shape * windows.drop_scale[:, None, None], -1, 0)
+        columns = np.zeros((count, self.effects.start if windows.effects is None else self.map.start), np.complex128)
+        columns[:, VOLTAGE] = windows.voltage
+        columns[:, RESISTANCE] = windows.current * (1 + COPPER * windows.heating)
+        columns[:, CONSTANT] = windows.duration[:, None] * np.array([1, 1j])
+        columns[:, SHIFT] = windows.shifted
+        columns[:, MAGNET] = windows.magnet_heating * np.diff(np.exp(1j * windows.angle), axis=1)[:, 0]
+        columns.real[:, self.drops] = np.stack([2 * a, -b, -c], axis=-1).reshape(count, -1) / 3
+        columns.imag[:, self.drops] = np.stack([np.zeros_like(a), b, -c], axis=-1).reshape(count, -1) / np.sqrt(3)
+        columns[:, self.lags] = windows.lag * windows.drop_scale[:, None]
+        columns[:, self.crossing] = windows.crossing
         if windows.effects is not None:
-            out[:, 0, self.effects], out[:, 1, self.effects] = windows.effects.real, windows.effects.imag
-        return out
+            columns[:, self.effects] = windows.effects
+        return np.stack([columns.real, columns.imag], axis=1)
 
     def _ends(
         self, i_dq: FloatArray, angle: FloatArray, layout: Layout, orders: Sequence[int]
@@ -365,13 +352,6 @@ def _neighbours(ends: FloatArray) -> tuple[IntArray, list[int]]:
         order = np.argpartition(ends[group, widest], half)
         groups += [group[order[half:]], group[order[:half]]]
     return np.concatenate(done), np.cumsum([0, *map(len, done)]).tolist()
-
-
-def _weighted(rows: FloatArray, weight: FloatArray | None) -> FloatArray:
-    """Multiply rows (N, 2, M) by the roots of the weights (N,) of their windows, if they have any."""
-    if weight is not None:
-        rows *= np.sqrt(weight)[:, None, None]
-    return rows
 
 
 @compiled(
@@ -422,41 +402,6 @@ def add_end(
                     out[n, 1, unknown[entry]] += cosine * term
 
 
-@compiled(
-    "const i4[:, :, ::1], const f8[:, :, ::1], const i4[:, :, ::1], const f8[:, :, ::1], const f8[::1], f8[:, ::1]"
-)
-def sum_of_squares(
-    first: ColumnArray,
-    first_value: FloatArray,
-    last: ColumnArray,
-    last_value: FloatArray,
-    turn: FloatArray,
-    empty: FloatArray,
-) -> float:
-    """Return the sum of the squares of the rows of one map with both ends of windows.
-
-    Parameters
-    ----------
-    first, first_value, last, last_value : (N, 2, K)
-        Basis functions at the start and the end, see :func:`add_end`.
-    turn : (N,) float
-        Cosine of the angle turned in between.
-    empty : (2, size) float
-        Zeros, to work in.
-    """
-    total = 0.0
-    for n in range(first.shape[0]):
-        for flux in range(2):
-            for k in range(first.shape[2]):
-                empty[flux, first[n, flux, k]] = first_value[n, flux, k]
-                total += first_value[n, flux, k] ** 2 + last_value[n, flux, k] ** 2
-            for k in range(last.shape[2]):
-                total -= 2 * turn[n] * empty[flux, last[n, flux, k]] * last_value[n, flux, k]
-            for k in range(first.shape[2]):
-                empty[flux, first[n, flux, k]] = 0.0
-    return total
-
-
 @dataclass(frozen=True)
 class ModelSpec:
     """One variant of the model."""
@@ -491,13 +436,7 @@ def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
     """
     if model.reciprocal and not spec.reciprocal:
         raise ValueError("Free maps need sums over the columns of free maps, see WindowSums.freed.")
-    layout, entries, count = model.summed, [], 0
-
-    def place(block: sparse.coo_array, first: int) -> None:
-        """Add the unknowns of a block, whose rows are the columns from ``first`` on."""
-        nonlocal count
-        entries.append((block.coords[0] + first, block.coords[1] + count, block.data))
-        count += block.shape[1]
+    layout = model.summed
 
     def of_map(space: GradientSpline) -> sparse.coo_array:
         if not spec.reciprocal:
@@ -506,19 +445,18 @@ def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
         constant = sparse.eye_array(potentials, potentials - 1, k=-1, format="coo")
         return constant if model.reciprocal else sparse.coo_array(space.gradient @ constant)
 
-    for columns in _own_columns(model, spec):
-        place(sparse.eye_array(columns.stop - columns.start, format="coo"), columns.start)
+    own = [(columns.start, sparse.eye_array(columns.stop - columns.start)) for columns in _own_columns(model, spec)]
     if spec.inverter:
         shapes = model.shapes.usual + spec.wide
         drops = np.eye(3 * shapes) if spec.per_phase else np.kron(np.eye(shapes), np.ones((3, 1)))
-        place(sparse.coo_array(drops), model.drops.start)
-    place(of_map(model.flux), layout.map.start)
+        own.append((model.drops.start, sparse.coo_array(drops)))
     amplitudes = of_map(model.harmonic)
-    for order in spec.orders:
-        place(amplitudes, layout.harmonics[order].start)
-        place(amplitudes, layout.harmonics[order].start + amplitudes.shape[0])
-    rows, unknowns, shares = (np.concatenate(each) for each in zip(*entries, strict=True))
-    return sparse.csr_array((shares, (rows, unknowns)), shape=(layout.size, count))
+    starts = [layout.harmonics[order].start + half for order in spec.orders for half in (0, amplitudes.shape[0])]
+    own += [(layout.map.start, of_map(model.flux)), *((start, amplitudes) for start in starts)]
+    column = np.concatenate([first + np.arange(block.shape[0], dtype=np.int32) for first, block in own])
+    blocks = sparse.block_diag([block for _, block in own], format="coo")
+    row, unknown = blocks.coords
+    return sparse.csr_array((blocks.data, (column[row], unknown)), shape=(layout.size, blocks.shape[1]))
 
 
 def _own_columns(model: FullModel, spec: ModelSpec) -> Iterator[slice]:
@@ -557,8 +495,6 @@ def roughness(model: FullModel, total: FloatArray, penalty: float, unit: float |
     ridge[model.crossing] = max(_EFFECT_RIDGE * diagonal[model.crossing], TINY)
     for inverter in (model.drops, model.lags):
         ridge[inverter] = _DROP_RIDGE * float(diagonal[inverter].mean())
-    before, after = model.map.start, model.size - model.map.stop
-    rough = sparse.block_diag(
-        [sparse.csr_array((before, before)), penalty * unit * model.flux.roughness, sparse.csr_array((after, after))]
-    )
+    in_map = sparse.eye_array(model.flux.parameters, model.size, k=model.map.start)
+    rough = in_map.T @ (penalty * unit * model.flux.roughness) @ in_map
     return sparse.csr_array(rough + sparse.diags_array(ridge))

@@ -82,10 +82,6 @@ class Resolution:
         more = len(self.d) * len(self.q) < len(d) * len(q) <= _MOST_CELLS
         return replace(self, d=d, q=q, halved=True) if more else self
 
-    def with_finer_harmonics(self) -> Resolution:
-        """Return a resolution with twice the cells per axis for the harmonics."""
-        return replace(self, harmonic=2 * self.harmonic)
-
 
 @dataclass(frozen=True, eq=False)
 class Misfit:

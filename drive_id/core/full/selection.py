@@ -185,7 +185,7 @@ def _resolved(
             spec, error = solver.best_penalty(spec)
         local = cells.finer(misfit)
         tried = [] if local is cells else [local]  # as many as there may be
-        tried += [local.with_finer_harmonics()] if cells.harmonic == HARMONIC_CELLS else []
+        tried += [replace(local, harmonic=2 * HARMONIC_CELLS)] if cells.harmonic == HARMONIC_CELLS else []
         for candidate in tried:
             finer = sums.over(replace(sums.model, cells=candidate))
             other = Solver.over(finer)
@@ -377,20 +377,17 @@ def _with_wide_curve(search: EffectSearch, solution: FullSolution, noise: Curren
     R takes a part of a drop that still bends at large currents. Which part depends on the shapes. Near zero current,
     the curve amplifies noise, which is not white then.
     """
-    for wide in (1, 2) if solution.spec.inverter else ():
+    for wide in (1, 2):
         wider = search.solver.solve(replace(solution.spec, wide=wide))
         white = np.sqrt(abs(wider.variance_of_resistance - solution.variance_of_resistance))
         least = abs(wider.resistance - solution.resistance) / SIGNIFICANCE
-        if least < white or least < _sigma_of_change(search.sums, solution, wider, noise):
+        if least < white:
+            break
+        one, two = (residual_statistics(search.sums, each, noise)[0][RESISTANCE] for each in (solution, wider))
+        if least < sigma(two - one):
             break
         solution = wider
     return solution
-
-
-def _sigma_of_change(sums: WindowSums, solution: FullSolution, other: FullSolution, noise: CurrentNoise) -> float:
-    """Return the standard error of the change of R from one solution to another, ohm."""
-    one, two = (residual_statistics(sums, each, noise)[0][RESISTANCE] for each in (solution, other))
-    return float(sigma(two - one))
 
 
 def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
@@ -453,9 +450,7 @@ def _significant_orders(model: FullModel, solution: FullSolution, i_dq: FloatArr
         if np.sqrt(np.mean(np.square(halves))) < _LEAST_HARMONIC * largest:
             continue
         unknowns = np.flatnonzero(np.asarray(abs(solution.basis[columns]).sum(axis=0)).ravel())
-        forms = np.zeros((solution.basis.shape[1], len(unknowns)))
-        forms[unknowns, np.arange(len(unknowns))] = 1.0
-        half = solution.half_gain(forms)
+        half = solution.half_gain(np.eye(solution.basis.shape[1])[:, unknowns])
         covariance = solution.residual_rms**2 * (half.T @ half)
         estimate = np.linalg.lstsq(solution.basis[columns][:, unknowns].toarray(), solution.estimate[columns])[0]
         scale = np.sqrt(np.diag(covariance))

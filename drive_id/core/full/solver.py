@@ -127,13 +127,12 @@ class Solver:
     ) -> None:
         self.model = model
         self.counts = counts
-        self._folds, self._effects = folds, effects
+        self._folds, self._effects, self._unit = folds, effects, unit
         total = folds[0].copy()
         for one in folds[1:]:
             total += one
         every = None if effects is None else effects.sum(axis=0)
         self.total = with_products(unpacked(total, model.summed.size), every, model)
-        self._unit = float(np.diag(self.total)[model.map].mean()) if unit is None else unit
         self._normals: dict[ModelSpec, _Normal] = {}
 
     @classmethod
@@ -209,7 +208,8 @@ class Solver:
         in_map = np.asarray(abs(t[self.model.summed.map]).sum(axis=0)).ravel() > 0
 
         def errors(number: int) -> list[float]:
-            fold = self._fold(number)
+            effects = None if self._effects is None else self._effects[number]
+            fold = with_products(unpacked(self._folds[number], len(voltage)), effects, self.model)
             own, product = congruent(t, fold), times(fold, voltage)
             del fold
             rest = normal - own
@@ -272,11 +272,6 @@ class Solver:
         """Return the cross products of columns after projecting out the unknowns of a solution."""
         half = solution.half_gain(np.asarray(self._normal(solution.spec).t.T @ self.total[:, columns]))
         return np.asarray(self.total[np.ix_(columns, columns)] - half.T @ half)
-
-    def _fold(self, number: int) -> FloatArray:
-        """Return Z'Z of a fold with the effects."""
-        effects = None if self._effects is None else self._effects[number]
-        return with_products(unpacked(self._folds[number], self.model.summed.size), effects, self.model)
 
     def _normal(self, spec: ModelSpec) -> _Normal:
         """Return what depends on neither penalty nor delay; that of the last variant is kept."""
@@ -388,9 +383,7 @@ class CurrentNoise:
         return cls(variance, Windows.joined(list(kept)).thinned(_THINNED), angle_variance)
 
 
-def noise_products(
-    solver: Solver, solution: FullSolution, noise: CurrentNoise, squares: float = np.inf
-) -> sparse.csr_array:
+def noise_products(solver: Solver, solution: FullSolution, noise: CurrentNoise, squares: float) -> sparse.csr_array:
     """Return N (size, size), (Vs)^2, see the module.
 
     Parameters
@@ -400,19 +393,15 @@ def noise_products(
     squares : float
         Upper bound of the sum of squared residuals that noise at the ends causes, (Vs)^2.
     """
-    model = solver.model
-    windows = noise.windows
-    i_dq = windows.i_dq[:, 0]
-    slopes = [rows.sparse(model.flux.parameters) for rows in model.flux.slope_rows(i_dq)]
-    weights = windows.weights
+    model, windows, weights = solver.model, noise.windows, noise.windows.weights
+    slopes = [rows.sparse(model.flux.parameters) for rows in model.flux.slope_rows(windows.i_dq[:, 0])]
     products = sum(one.T @ sparse.diags_array(np.repeat(weights, 2)) @ one for one in slopes)
     gamma = solution.estimate[model.map]
     shown = max(float(gamma @ (products @ gamma)), TINY)
     rows = float(solver.counts.sum())
     ends = products * min(rows * noise.variance / weights.sum(), max(squares, 0.0) / shown)
-    before, after = model.map.start, model.size - model.map.stop
-    parts = [sparse.csr_array((before, before)), ends, sparse.csr_array((after, after))]
-    return sparse.csr_array(sparse.block_diag(parts))
+    in_map = sparse.eye_array(model.flux.parameters, model.size, k=model.map.start)
+    return sparse.csr_array(in_map.T @ ends @ in_map)
 
 
 def correct_attenuation(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> tuple[FullSolution, FloatArray]:

@@ -11,7 +11,7 @@ from scipy import sparse
 from drive_id.core.full.lack_of_fit import GroupSums, LackOfFit
 from drive_id.core.full.solver import CurrentNoise, FullSolution
 from drive_id.core.full.window_sums import WindowSums
-from drive_id.core.full.windows import Windows
+from drive_id.core.full.windows import Windows, interval
 from drive_id.core.numerics.threads import MOST_THREADS, in_threads
 from drive_id.types import TINY, FloatArray
 
@@ -96,7 +96,7 @@ def _batch_scores(
     full leverage.
     """
     residuals = rows[..., -1]
-    edges = [0, *(1 + np.flatnonzero(np.diff(segment.interval(_BATCH)))), len(segment)]
+    edges = [0, *(1 + np.flatnonzero(np.diff(interval(segment.time, _BATCH)))), len(segment)]
     out = []
     for start, end in pairwise(edges):
         forms = rows[start:end, :, :-1].reshape(-1, len(solution.scale))

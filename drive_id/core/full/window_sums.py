@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +14,7 @@ from scipy import linalg
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import EFFECT_COLUMNS, FullModel
-from drive_id.core.full.windows import MEASURED, WindowCutter, Windows
+from drive_id.core.full.windows import MEASURED, WindowCutter, Windows, interval
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.core.numerics.threads import MOST_THREADS, in_threads, one_blas_thread
@@ -59,7 +59,8 @@ class WindowSums:
         self._due: list[tuple[int, Windows]] = []  # folds and windows whose products are still to be formed
         self.effects: FloatArray | None = None
         """Z'z (FOLDS, size, EFFECT_COLUMNS), z being the columns of the effects; see :meth:`with_effects`."""
-        self._some: _KeptProducts | None = None
+        # triangles and rows of the folds over the kept windows alone, where these are not all
+        self._some: tuple[list[FloatArray], FloatArray] | None = None
         self._counts = np.zeros(FOLDS)
         self._pending: list[Windows] = []
         self._segment = 0  # of the pending windows
@@ -71,9 +72,7 @@ class WindowSums:
 
     def next_recording(self, heating: float = 0.0, drop_scale: float = 1.0) -> None:
         """Begin another recording, under its own conditions, see :class:`Windows`."""
-        for windows in self._cutter.finish():
-            self._take(windows)
-        self._flush()
+        self._finish()
         self._recording += self.windows > 0
         self._cutter.restart(SEGMENT * self._next_start(), self._recording)
         self._cutter.set_conditions(heating, drop_scale)
@@ -93,9 +92,7 @@ class WindowSums:
     def finished(self) -> WindowSums:
         """Return a copy that includes the samples not yet in a window; the original can still be extended."""
         other = self.copy()
-        for windows in other._cutter.finish():  # noqa: SLF001  # of its own class
-            other._take(windows)  # noqa: SLF001
-        other._flush()  # noqa: SLF001
+        other._finish()  # noqa: SLF001  # of its own class
         other._form_products()  # noqa: SLF001
         return other
 
@@ -111,9 +108,16 @@ class WindowSums:
         other._kept, other._short = dict(self._kept), dict(self._short)  # noqa: SLF001
         return other
 
-    def over(self, model: FullModel) -> WindowSums:
-        """Return the sums over the kept windows for another model."""
-        return self._over(model, self._kept)
+    def over(self, model: FullModel, kept: Mapping[int, Windows] | None = None) -> WindowSums:
+        """Return the sums over the kept windows, or over others of the same segments, for another model."""
+        kept, other = self._kept if kept is None else kept, WindowSums(model)
+        for number in sorted(kept):
+            other._segment, other._pending = number, [kept[number]]  # of its own class
+            other._flush()
+        other._form_products()
+        other._short = dict(self._short)
+        other.outside = self.outside
+        return other
 
     def freed(self, orders: tuple[int, ...]) -> WindowSums:
         """Return the sums over the kept windows for a model of free maps with these harmonics only, or these sums."""
@@ -124,17 +128,7 @@ class WindowSums:
     def changed(self, change: Callable[[Windows], Windows], *, short: bool = False) -> WindowSums:
         """Return the sums over the kept windows, or over their short ones, after a change, without effects."""
         kept = self._short if short else self._kept
-        return self._over(self.model, {number: change(windows) for number, windows in kept.items()})
-
-    def _over(self, model: FullModel, kept: Mapping[int, Windows]) -> WindowSums:
-        other = WindowSums(model)
-        for number in sorted(kept):
-            other._segment, other._pending = number, [kept[number]]  # of its own class
-            other._flush()
-        other._form_products()
-        other._short = dict(self._short)
-        other.outside = self.outside
-        return other
+        return self.over(self.model, {number: change(windows) for number, windows in kept.items()})
 
     def with_effects(self, columns: Callable[[Windows], ComplexArray]) -> WindowSums:
         """Return sums that include the effects' columns of the kept windows.
@@ -153,8 +147,6 @@ class WindowSums:
         """
         other, model = self.copy(), self.model
         numbers, kept = sorted(self._kept), self.kept()
-        thinned = self.thinned
-        some = _KeptProducts.none(model) if thinned and self._some is None else None
         products = np.zeros((FOLDS, model.summed.size, EFFECT_COLUMNS))
 
         def of_fold(fold: int) -> list[tuple[int, Windows]]:
@@ -167,11 +159,6 @@ class WindowSums:
                 first, last = np.searchsorted(indices, (model.effects.start, model.effects.stop))
                 chosen = indices[first:last] - model.effects.start
                 products[fold, indices[:, None], chosen] += rows.T @ rows[:, first:last]
-                if some is not None:
-                    others = np.delete(rows, slice(first, last), axis=1)
-                    add_triangle(others.T @ others, np.delete(indices, slice(first, last)), some.triangles[fold])
-            if some is not None:
-                some.counts[fold] += together.weights.sum()
             edges = np.cumsum([0, *(len(windows) for _, windows in own)]).tolist()
             return [
                 (number, together.part(slice(*edge))) for (number, _), edge in zip(own, pairwise(edges), strict=True)
@@ -179,15 +166,18 @@ class WindowSums:
 
         for done in in_threads(of_fold, range(FOLDS)):
             other._kept |= dict(done)  # noqa: SLF001  # of its own class
-        self._some = some or self._some
-        other.effects = self._extrapolated(products, self._some) if thinned and self._some else products
+        other.effects = self._extrapolated(products) if self.thinned else products
         return other
 
-    def _extrapolated(self, products: FloatArray, some: _KeptProducts) -> FloatArray:
+    def _extrapolated(self, products: FloatArray) -> FloatArray:
         """Return the products (F, size, E) of all windows, see :meth:`with_effects`."""
-        effects, folds, size = self.model.effects, self.triangles(), self.model.summed.size
-        total = unpacked(np.sum(some.triangles, axis=0), size)
-        every = unpacked(np.sum(folds, axis=0), size) * some.counts.sum() / max(float(self._counts.sum()), 1.0)
+        if self._some is None:
+            kept = self.over(self.model)
+            self._some = kept.triangles(), kept.counts
+        (some, rows), folds = self._some, self.triangles()
+        effects, size = self.model.effects, self.model.summed.size
+        total = unpacked(np.sum(some, axis=0), size)
+        every = unpacked(np.sum(folds, axis=0), size) * rows.sum() / max(float(self.counts.sum()), 1.0)
         total[effects] = every[effects] = 0.0
         scale = np.sqrt(np.maximum(np.diag(every), TINY))
         shrunk = (total + _UNSEEN * every) / scale[:, None] / scale
@@ -199,8 +189,8 @@ class WindowSums:
             b += linalg.cho_solve(factor, (outer - total @ b) / scale[:, None]) / scale[:, None]
         out = np.empty_like(products)
         for fold, product in enumerate(products):
-            share = self._counts[fold] / max(float(some.counts[fold]), 1.0)
-            own, explained = (unpacked(each[fold], size) @ b for each in (some.triangles, folds))
+            share = self.counts[fold] / max(float(rows[fold]), 1.0)
+            own, explained = (unpacked(each[fold], size) @ b for each in (some, folds))
             out[fold] = explained + share * (product - own)
             inner = share * (product[effects] - b.T @ own) + b.T @ explained
             out[fold][effects] = 0.5 * (inner + inner.T)
@@ -209,9 +199,7 @@ class WindowSums:
     def merge(self, other: WindowSums) -> None:
         """Add the sums over other recordings, of an equal model; ``other`` stays unchanged."""
         theirs = other.finished()
-        for windows in self._cutter.finish():
-            self._take(windows)
-        self._flush()
+        self._finish()
         self._form_products()
         self._some = None
         if self.model.reciprocal != theirs.model.reciprocal:
@@ -260,11 +248,12 @@ class WindowSums:
         reciprocal = bool(state.get("reciprocal", self.model.reciprocal))
         self.__dict__.update(WindowSums(replace(self.model, reciprocal=reciprocal)).__dict__)
         ends = np.cumsum(state["length"])
-        together = Windows(**{name: state[f"windows.{name}"] for name in MEASURED}) if len(ends) else None
-        for number, start, end in zip(state["segment"], ends - state["length"], ends, strict=True):
-            if together is not None:
+        if len(ends):
+            together = Windows(**{name: state[f"windows.{name}"] for name in MEASURED})
+            for number, start, end in zip(state["segment"], ends - state["length"], ends, strict=True):
                 self._segment, self._pending = int(number), [together.part(slice(int(start), int(end)))]
                 self._flush(form="folds" not in state)
+            self._recording = int(together.recording.max())
         self._form_products()
         self.outside, self._every = int(state["outside"]), int(state["every"])
         if "folds" in state:
@@ -272,8 +261,6 @@ class WindowSums:
             self._squares = exactly(state["squares"], self._squares)
             self._counts, self._last = np.array(state["counts"]), int(state["last"])
             self.windows = int(self._counts.sum())
-        if together is not None:
-            self._recording = int(together.recording.max())
         self._cutter.restart(SEGMENT * self._next_start(), self._recording)
 
     @property
@@ -336,12 +323,18 @@ class WindowSums:
         """Collect windows until a segment is complete."""
         usable = self.model.contains(windows)
         self.outside += int((~usable & ~windows.short).sum())
-        segment = windows.interval(SEGMENT)
+        segment = interval(windows.time, SEGMENT)
         for number in np.unique(segment):
             if number != self._segment:
                 self._flush()
                 self._segment = int(number)
             self._pending.append(windows.part(np.flatnonzero((segment == number) & usable)))
+
+    def _finish(self) -> None:
+        """Take the last windows of a run, and complete their segment."""
+        for windows in self._cutter.finish():
+            self._take(windows)
+        self._flush()
 
     def _flush(self, *, form: bool = True) -> None:
         """Complete a segment; its products are formed later, see :meth:`_form_products`."""
@@ -399,19 +392,6 @@ class WindowSums:
                 for number in [number for number in known if number % self._every]:
                     del known[number]
         self._cutter.short_every = self._every  # those of other segments would be dropped
-
-
-@dataclass(frozen=True, eq=False)
-class _KeptProducts:
-    """Triangles of Z'Z (FOLDS) and sums of weights (FOLDS,) of the kept windows, where not all are kept."""
-
-    triangles: list[FloatArray]
-    counts: FloatArray
-
-    @classmethod
-    def none(cls, model: FullModel) -> _KeptProducts:
-        size = model.summed.size
-        return cls([np.zeros(size * (size + 1) // 2) for _ in range(FOLDS)], np.zeros(FOLDS))
 
 
 def with_products(matrix: FloatArray, products: FloatArray | None, model: FullModel) -> FloatArray:

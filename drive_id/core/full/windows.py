@@ -18,7 +18,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from drive_id.core import frames
-from drive_id.core.frames import ComplexArray
+from drive_id.core.frames import ROOT_THIRD, THIRD, ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes, drop_shape
 from drive_id.core.numerics.compiled import compiled
 from drive_id.temperature import REFERENCE_TEMPERATURE
@@ -68,8 +68,6 @@ _WAY_STEP = 5e-4
 """Step in which the way of rotor and current is added up, s: noise lengthens shorter ones."""
 _GOLDEN = 0.6180339887498949
 """Golden section: shifts windows evenly, and never in step with the rotor or the trajectory."""
-_THIRD = 1 / 3
-_ROOT_THIRD = math.sqrt(1 / 3)
 _AXES = np.exp(1j * frames.PHASE_SHIFTS)
 
 
@@ -89,7 +87,7 @@ class Windows:
     # (N, L), integrals of the coarse shapes minus those for the current one sample earlier, turned with the rotor, by
     # which a drive compensates the drop, s
     lag: ComplexArray
-    crossing: ComplexArray  # (N,), sum over the zero crossings of the phase currents, see :func:`_integrate`, s
+    crossing: ComplexArray  # (N,), sum over the zero crossings of the phase currents, see :class:`_Sums`, s
     # (N, L, 5), int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s), j conj(i_s), 1 and j:
     # by how much the faults of the current sensors change their integrals, s, the last two s/A
     sensed: ComplexArray
@@ -124,10 +122,6 @@ class Windows:
 
     def __len__(self) -> int:
         return len(self.time)
-
-    def interval(self, length: float) -> IntArray:
-        """Return the number (N,) of the interval of ``length`` seconds in which each window starts."""
-        return _interval(self.time, length)
 
     def part(self, selected: slice | IntArray | BoolArray) -> Windows:
         """Return some of the windows."""
@@ -181,7 +175,6 @@ class _Stretch:
     u_s: ComplexArray
     i_dq: ComplexArray
     angle: FloatArray
-    speed: FloatArray
     idle: BoolArray
     turned: FloatArray
     heat: FloatArray
@@ -287,36 +280,31 @@ class WindowCutter:
         """Return the new samples of a run with the quantities integrated over them."""
         i_abc, count = samples.i_abc[run], run.stop - run.start
         i_s, u_s, i_dq = (np.empty((count, 2)) for _ in range(3))
-        integrals, lagged = np.empty((count, 2)), np.empty((count, len(LAGS), 2))
-        integrals[0] = self._turned if continues else 0.0, self._heat
+        lagged = np.empty((count, len(LAGS), 2))
         weights = np.stack(_lag_weights(samples.sample_period))
         if continues:
             lagged[0] = self._lagged.view(np.float64).reshape(-1, 2)
-        _follow(
-            i_abc, samples.u_abc[run], samples.angle[run], samples.sample_period, weights, not continues,
-            i_s, u_s, i_dq, integrals, lagged,
-        )  # fmt: skip
+        _follow(i_abc, samples.u_abc[run], samples.angle[run], weights, not continues, i_s, u_s, i_dq, lagged)
+        a, b, c = np.square(i_abc[1:].T)
+        steps = frames.wrapped(np.diff(samples.angle[run]))
+        turned = np.cumsum(np.append(self._turned if continues else 0.0, steps))
+        heat = np.cumsum(np.append(self._heat, 2 * THIRD * (a + b + c) * samples.sample_period))
         lags = _complex(lagged)
-        self._turned, self._heat, self._lagged = float(integrals[-1, 0]), float(integrals[-1, 1]), lags[-1].copy()
+        self._turned, self._heat, self._lagged = float(turned[-1]), float(heat[-1]), lags[-1].copy()
         new, later = slice(run.start + continues, run.stop), slice(int(continues), None)
-        link, winding, magnet = (
-            np.full(new.stop - new.start, np.nan) if values is None else values[new]
-            for values in (samples.dc_link_voltage, samples.winding_temperature, samples.magnet_temperature)
-        )
         return _Stretch(  # currents without their sum: they shift the zero crossings as those of two sensors do
             i_abc=np.ascontiguousarray(frames.phases(_complex(i_s)[later])),
             i_s=_complex(i_s)[later],
             u_s=_complex(u_s)[later],
             i_dq=_complex(i_dq)[later],
             angle=samples.angle[new],
-            speed=samples.speed[new],
             idle=idle[new],
-            turned=integrals[later, 0],
-            heat=integrals[later, 1],
+            turned=turned[later],
+            heat=heat[later],
             lagged=lags[later],
-            link=link,
-            winding=winding,
-            magnet=magnet,
+            link=samples.or_unknown("dc_link_voltage")[new],
+            winding=samples.or_unknown("winding_temperature")[new],
+            magnet=samples.or_unknown("magnet_temperature")[new],
         )
 
     def finish(self) -> Iterator[Windows]:
@@ -338,7 +326,7 @@ class WindowCutter:
             begin_used, end_used = begin_used[moving], end_used[moving]
             whole, sums = len(begin_used), _Sums.over(stretch, self._period, self._shapes.coarse)
             if self._short is not None:
-                wanted = _interval(self._time + self._period * begin_used, self._short) % self.short_every == 0
+                wanted = interval(self._time + self._period * begin_used, self._short) % self.short_every == 0
                 begin_used, end_used = self._with_short(stretch, sums, begin_used, end_used, wanted)
             yield self._windows(stretch, sums, begin_used, end_used, np.arange(len(begin_used)) >= whole)
         self._number += count
@@ -377,8 +365,6 @@ class WindowCutter:
         """Append the places of the short windows among the wanted ones."""
         grain, places = spacing(self._period), (begin, end)
         begin, end = begin[wanted], end[wanted]
-        if not len(begin):
-            return places
         turns = np.rint((end - begin) * (SHORT_ANGLE / WINDOW_ANGLE) / grain).astype(np.int64)
         sooner = begin + grain * np.maximum(turns, 1)
         current = np.maximum(np.abs(stretch.i_s[begin]), np.abs(stretch.i_s[sooner]))
@@ -389,20 +375,19 @@ class WindowCutter:
 
     def _windows(self, stretch: _Stretch, sums: _Sums, begin: IntArray, end: IntArray, short: BoolArray) -> Windows:
         period, grain = self._period, spacing(self._period)
-        u_s, turned = stretch.u_s, stretch.i_dq
+        u_s, i_dq = stretch.u_s, stretch.i_dq
         shape = self._shapes.integrals(stretch.i_abc[::grain], period * grain)
         ends = np.stack([begin, end], axis=1)
-        i_dq = turned[ends]
-        slope = turned[ends[..., None] + _PAST] @ (_LINE / period)
-        now = turned[ends[..., None] + _BESIDE] @ _CUBIC
+        slope = i_dq[ends[..., None] + _PAST] @ (_LINE / period)
+        now = i_dq[ends[..., None] + _BESIDE] @ _CUBIC
         decay, by_last, by_now = _lag_weights(period)
-        lagged = decay * stretch.lagged[ends - 1] + by_last * turned[ends - 1, None] + by_now * now[..., None]
+        lagged = decay * stretch.lagged[ends - 1] + by_last * i_dq[ends - 1, None] + by_now * now[..., None]
         speed = stretch.turned[ends[..., None] + _NEAR] @ _NEAR / (period * np.sum(_NEAR**2))
         winding, magnet = (x[begin] - REFERENCE_TEMPERATURE for x in (stretch.winding, stretch.magnet))
         heating = np.where(np.isnan(winding), self._heating, winding)
         return Windows(
             time=self._time + period * begin.astype(np.float64),
-            i_dq=np.stack([i_dq.real, i_dq.imag], axis=-1),
+            i_dq=frames.as_pairs(i_dq[ends]),
             angle=stretch.angle[ends],
             voltage=sums.voltage[end] - sums.voltage[begin],
             current=sums.current[end] - sums.current[begin],
@@ -447,6 +432,11 @@ class _Sums:
 
     ``least`` is the smallest absolute phase current of a sample, A, ``until`` the same up to the next sample: 0 where a
     phase crosses zero.
+
+    If the drop steps from -D to D at a zero crossing that is t T earlier than linear interpolation between two samples
+    predicts, its integral increases by ``2 D t T``. The current has a kink at the step and the shapes round its corner,
+    so t is a few hundredths and about the same at all crossings. Each adds the vector of its phase, positive for a
+    rising current, times 2/3 of the sample period to ``crossing``.
     """
 
     voltage: ComplexArray
@@ -459,15 +449,21 @@ class _Sums:
 
     @classmethod
     def over(cls, stretch: _Stretch, period: float, shapes: CapacitiveShapes) -> _Sums:
-        voltage, current, loaded, crossing = np.zeros((4, len(stretch), 2))
-        scales = np.ascontiguousarray(shapes.scales)
-        sensed = np.zeros((len(stretch), len(scales), 5, 2))
-        least, until = np.empty(len(stretch)), np.empty(len(stretch))
-        i_s, u_s, axes = (x.view(np.float64).reshape(-1, 2) for x in (stretch.i_s, stretch.u_s, _AXES))
-        sums = voltage, current, loaded, crossing, sensed
-        _integrate(stretch.i_abc, i_s, u_s, period, scales, axes, *sums, least, until)
-        voltages, currents, loads, crossings, slopes = map(_complex, sums)
-        return cls(voltages, currents, loads, crossings, slopes, least, until)
+        i_abc, u_s = stretch.i_abc, stretch.u_s[:-1]
+        i_s = 0.5 * (stretch.i_s[:-1] + stretch.i_s[1:])  # mean over each sample
+        power = 1.5 * (u_s.real * i_s.real + u_s.imag * i_s.imag)
+        rising = np.where(i_abc[:-1] * i_abc[1:] < 0.0, np.sign(i_abc[1:]), 0.0)
+        least, negative = np.abs(i_abc).min(axis=1), i_abc < 0.0
+        crossed = (negative[:-1] != negative[1:]).any(axis=1)
+        return cls(
+            voltage=_summed(period * u_s),
+            current=_summed(period * i_s),
+            loaded=_summed(period * power * u_s),
+            crossing=_summed(2 * THIRD * period * (rising @ _AXES)),
+            sensed=_sensed(i_abc, stretch.i_s, period, shapes.scales),
+            least=least,
+            until=np.append(np.where(crossed, 0.0, least[:-1]), least[-1]),
+        )
 
     def clearance(self, begin: IntArray, end: IntArray) -> FloatArray:
         """Return the smallest absolute value (N,) of a phase current from ``begin`` to ``end``, 0 if one crosses."""
@@ -476,23 +472,21 @@ class _Sums:
 
 
 @compiled(
-    "const f8[:, ::1], const f8[:, ::1], const f8[::1], f8, const f8[:, ::1], b1, f8[:, ::1], f8[:, ::1], f8[:, ::1], "
-    "f8[:, ::1], f8[:, :, ::1]"
+    "const f8[:, ::1], const f8[:, ::1], const f8[::1], const f8[:, ::1], b1, f8[:, ::1], f8[:, ::1], f8[:, ::1], "
+    "f8[:, :, ::1]"
 )
 def _follow(
     i_abc: FloatArray,
     u_abc: FloatArray,
     angle: FloatArray,
-    period: float,
     weights: FloatArray,
     first: bool,
     i_s: FloatArray,
     u_s: FloatArray,
     i_dq: FloatArray,
-    integrals: FloatArray,
     lagged: FloatArray,
 ) -> None:
-    """Compute all quantities per sample of a run in one pass.
+    """Compute the space vectors of a run and the lagging currents in one pass.
 
     Parameters
     ----------
@@ -500,32 +494,23 @@ def _follow(
         A, V.
     angle : (N,) float
         rad.
-    period : float
-        s.
     weights : (3, L) float
         Weights of the last lagging, the last and the present current, see :func:`_lag_weights`.
     first : bool
         Whether a run begins: lagging currents then start at the current itself; otherwise they are given.
     i_s, u_s, i_dq : (N, 2) float
         Output: current and voltage in the stator frame, current in the rotor frame.
-    integrals : (N, 2) float
-        Angle turned, rad, and heat, A^2 s, given at the first sample.
     lagged : (N, L, 2) float
         Output: i_dq after the lags.
     """
-    turn = 2.0 * np.pi
     for k in range(len(angle)):
         a, b, c = i_abc[k, 0], i_abc[k, 1], i_abc[k, 2]
-        i_s[k, 0], i_s[k, 1] = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+        i_s[k, 0], i_s[k, 1] = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD
         cosine, sine = math.cos(angle[k]), math.sin(angle[k])
         i_dq[k, 0] = i_s[k, 0] * cosine + i_s[k, 1] * sine
         i_dq[k, 1] = i_s[k, 1] * cosine - i_s[k, 0] * sine
-        if k > 0:
-            step = angle[k] - angle[k - 1]
-            integrals[k, 0] = integrals[k - 1, 0] + (step - turn * np.rint(step / turn))
-            integrals[k, 1] = integrals[k - 1, 1] + 2.0 * _THIRD * (a * a + b * b + c * c) * period
         a, b, c = u_abc[k, 0], u_abc[k, 1], u_abc[k, 2]
-        u_s[k, 0], u_s[k, 1] = (2.0 * a - b - c) * _THIRD, (b - c) * _ROOT_THIRD
+        u_s[k, 0], u_s[k, 1] = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD
     for lag in range(weights.shape[1]):
         decay, before, now = weights[0, lag], weights[1, lag], weights[2, lag]
         for axis in range(2):
@@ -536,58 +521,30 @@ def _follow(
                 lagged[k, lag, axis] = driven + decay * lagged[k - 1, lag, axis]
 
 
-@compiled(
-    "const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], f8, const f8[::1], const f8[:, ::1], f8[:, ::1], "
-    "f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, :, ::1], f8[::1], f8[::1]"
-)
-def _integrate(
-    i_abc: FloatArray,
-    i_s: FloatArray,
-    u_s: FloatArray,
-    period: float,
-    scales: FloatArray,
-    axes: FloatArray,
-    voltage: FloatArray,
-    current: FloatArray,
-    loaded: FloatArray,
-    crossing: FloatArray,
-    sensed: FloatArray,
-    least: FloatArray,
-    until: FloatArray,
-) -> None:
-    """Integrate over a stretch, see :class:`_Sums`; the first rows of the integrals (N, 2) are given.
+def _sensed(i_abc: FloatArray, i_s: ComplexArray, period: float, scales: FloatArray) -> ComplexArray:
+    """Return the integrals (N, L, 5), see :class:`Windows`, from the first sample on."""
+    out, (pairs, axes) = np.zeros((len(i_abc), len(scales), 5, 2)), (frames.as_pairs(x) for x in (i_s, _AXES))
+    _integrate(i_abc, pairs, period, np.ascontiguousarray(scales), axes, out)
+    return _complex(out)
 
-    If the drop steps from -D to D at a zero crossing that is t T earlier than linear interpolation between two samples
-    predicts, its integral increases by ``2 D t T``. The current has a kink at the step and the shapes round its corner,
-    so t is a few hundredths and about the same at all crossings. Each adds the vector of its phase (``axes``, (3, 2)),
-    positive for a rising current, times 2/3 of the sample period.
+
+@compiled("const f8[:, ::1], const f8[:, ::1], f8, const f8[::1], const f8[:, ::1], f8[:, :, :, ::1]")
+def _integrate(
+    i_abc: FloatArray, i_s: FloatArray, period: float, scales: FloatArray, axes: FloatArray, sensed: FloatArray
+) -> None:
+    """Integrate the slopes of the shapes, see :func:`_sensed`, of which the first are given.
 
     A change x of the measured currents changes the integral of a shape h(i) by that of h'(i) x, where h' is its
     difference quotient between two samples.
     """
-    for k in range(len(i_abc)):
-        least[k] = min(abs(i_abc[k, 0]), abs(i_abc[k, 1]), abs(i_abc[k, 2]))
-    until[len(i_abc) - 1] = least[len(i_abc) - 1]
     for k in range(1, len(i_abc)):
-        until[k - 1] = least[k - 1]
         alpha, beta = 0.5 * (i_s[k - 1, 0] + i_s[k, 0]), 0.5 * (i_s[k - 1, 1] + i_s[k, 1])
-        power = 1.5 * (u_s[k - 1, 0] * alpha + u_s[k - 1, 1] * beta)
-        for axis in range(2):
-            voltage[k, axis] = voltage[k - 1, axis] + period * u_s[k - 1, axis]
-            loaded[k, axis] = loaded[k - 1, axis] + period * power * u_s[k - 1, axis]
-            current[k, axis] = current[k - 1, axis] + 0.5 * period * (i_s[k - 1, axis] + i_s[k, axis])
-            crossing[k, axis] = crossing[k - 1, axis]
-            for number in range(len(scales)):
-                for effect in range(5):
+        for number in range(len(scales)):
+            for effect in range(5):
+                for axis in range(2):
                     sensed[k, number, effect, axis] = sensed[k - 1, number, effect, axis]
         for phase in range(3):
             before, now = i_abc[k - 1, phase], i_abc[k, phase]
-            if (before < 0.0) != (now < 0.0):
-                until[k - 1] = 0.0
-            if before * now < 0.0:
-                share = math.copysign(2.0 * _THIRD * period, now)
-                crossing[k, 0] += share * axes[phase, 0]
-                crossing[k, 1] += share * axes[phase, 1]
             if before == now:
                 continue
             cosine, sine = axes[phase, 0], axes[phase, 1]
@@ -596,15 +553,20 @@ def _integrate(
             )  # fmt: skip
             for number in range(len(scales)):
                 rise = drop_shape(now / scales[number]) - drop_shape(before / scales[number])
-                share = 2.0 * _THIRD * period * rise / (now - before)
+                share = 2.0 * THIRD * period * rise / (now - before)
                 for effect in range(5):
                     sensed[k, number, effect, 0] += share * moved[effect] * cosine
                     sensed[k, number, effect, 1] += share * moved[effect] * sine
 
 
-def _interval(time: FloatArray, length: float) -> IntArray:
+def interval(time: FloatArray, length: float) -> IntArray:
     """Return the number (N,) of the interval of ``length`` seconds of each time (N,), s."""
     return np.asarray((time + _ROUNDING) / length).astype(np.int64)
+
+
+def _summed(steps: FloatArray | ComplexArray) -> ComplexArray:
+    """Return the sums (N,), from the first sample on, of what follows each sample but the last one (N - 1,)."""
+    return np.cumsum(np.append(0j, steps), dtype=np.complex128)
 
 
 def _complex(pairs: FloatArray) -> ComplexArray:
@@ -627,13 +589,8 @@ def _length_of_way(x: FloatArray | ComplexArray, way: float, begin: IntArray, st
 
 def _link(stretch: _Stretch, period: float, begin: IntArray, end: IntArray) -> ComplexArray:
     """Return int u_s u_dc (N,), V^2 s, NaN where the DC-link voltage is not known."""
-    missing = np.isnan(stretch.link)
-    if missing.all():
-        return np.full(len(begin), np.nan, np.complex128)
-    unknown = np.cumsum(np.append(0, missing[:-1]))
-    link: ComplexArray = period * np.cumsum(
-        np.append(0j, (stretch.u_s * np.nan_to_num(stretch.link))[:-1]), dtype=np.complex128
-    )
+    unknown = np.cumsum(np.append(0, np.isnan(stretch.link)[:-1]))
+    link = period * _summed((stretch.u_s * np.nan_to_num(stretch.link))[:-1])
     return np.where(unknown[end] == unknown[begin], link[end] - link[begin], np.nan)
 
 

@@ -99,7 +99,7 @@ class FullMethod:
         share = information.windows / (information.windows + information.outside)
         return Estimate(
             resistance=fit.solution.resistance,
-            sigma_resistance=fit.sigma_resistance,
+            sigma_resistance=fit.sigma(RESISTANCE),
             voltage_error=float(drops[-1].mean()),
             sigma_voltage_error=float(deviation[-1]),
             inverter_current=current,
@@ -286,8 +286,6 @@ def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray
     """Return the drop of each phase (C, 3), V, and the standard error of their mean (C,), V."""
     columns, shapes = fit.model.phase_columns(), fit.model.shapes(current)
     drops = shapes @ fit.solution.estimate[columns]
-    if not fit.spec.inverter:
-        return drops, np.zeros(len(current))
     forms = np.zeros((fit.model.size, len(current)))
     for phase in range(3):
         forms[columns[:, phase]] = shapes.T / 3
@@ -300,11 +298,9 @@ def _error_modes(
     """Return the joint errors; ``drops`` (C,) are the standard errors of the inverter's curve at currents (C,), A."""
     fit, changes = frame.fit, frame.fit.assessment.changes
     columns, shapes = fit.model.phase_columns(), fit.model.shapes(current)
-    curve = np.zeros((len(current), changes.shape[1]))
-    if fit.spec.inverter:
-        curve += shapes @ changes[columns].mean(axis=1)
+    curve = shapes @ changes[columns].mean(axis=1)
     others = np.concatenate([changes[[RESISTANCE]], curve[-1:], curve])
-    errors = np.concatenate([[fit.sigma_resistance], drops[-1:], drops])
+    errors = np.concatenate([[fit.sigma(RESISTANCE)], drops[-1:], drops])
     return error_modes(
         changes[fit.model.map],
         frame.rows(grid[inside]),
@@ -362,7 +358,7 @@ def _statements(
     """Yield what determined the unknowns that the data alone leave open, where data are missing, what helps most."""
     locked = _locked(evidence)
     several = not locked and several_speeds(fit.assessment.speeds)
-    relative = fit.sigma_resistance / max(abs(fit.solution.resistance), TINY)
+    relative = fit.sigma(RESISTANCE) / max(abs(fit.solution.resistance), TINY)
     by = ".locked" if locked else ".speeds" if several else ".reciprocity" if fit.spec.reciprocal else ""
     yield Message(f"separation{by}", share=relative)
     yield Message("linear_drop")

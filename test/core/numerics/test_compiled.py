@@ -109,4 +109,4 @@ def test_both_halves_are_all_that_fits_need():
         for half in (True, False)
     ]
     assert {"add_rows", "add_end", "locate"} <= parts[0]
-    assert {"_simulate", "_follow_rotor"} <= parts[1]
+    assert {"_simulate", "_rotate"} <= parts[1]

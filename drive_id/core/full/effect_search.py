@@ -162,7 +162,7 @@ def _greedy(
             allowed = [name for name in allowed if name != best]
             continue
         family = _family(best)
-        near = savings[best] - max(_CLOSE * savings[best], _LEAST_SAVING)
+        near = max(savings[best] - max(_CLOSE * savings[best], _LEAST_SAVING), 0.0)
         rivals = tuple(name for name, saving in savings.items() if saving > near and _family(name) != family)
         if best == DELAY:
             solution = delayed

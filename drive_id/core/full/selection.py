@@ -106,8 +106,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     bounded = noise.at_most(solver, start)  # fast currents look like noise to their differences
     sums, solver, start = _resolved(sums, solver, start, bounded)
     # without a motion of the rotor, only windows near zero current tie the map to its value there
-    turning = ORIGINS[settings.method].turning
-    between = between_crossings(sums, solver, start, noise) if turning else None
+    between = between_crossings(sums, solver, start, noise) if ORIGINS[settings.method].turning else None
     if between and not _offset_explains(sums, solver, start, noise):
         sums, crossings = between
         noise = CurrentNoise.met(noise.variance, sums.kept(), noise.angle_variance)

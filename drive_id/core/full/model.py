@@ -275,8 +275,10 @@ class FullModel:
         for group in (slice(*each) for each in pairwise(edges)):
             columns = [known]
             for both in zip(ends[:spaces], ends[spaces:], strict=True):
-                used = np.flatnonzero(np.bincount(np.ravel([column[group] for _, column, *_ in both])))
-                columns.append((both[0][3][:, None] + used).ravel())
+                used = np.zeros(size, np.bool_)
+                for _, column, *_ in both:
+                    used[column[group]] = True
+                columns.append((both[0][3][:, None] + np.flatnonzero(used)).ravel())
             indices = np.concatenate(columns)
             place[indices] = np.arange(len(indices))
             out = np.zeros((group.stop - group.start, 2, len(indices)))
@@ -284,7 +286,8 @@ class FullModel:
             for turn, column, value, start, factor in ends:
                 of_group = column[group], value[group], turn[group], start, factor[:, group].copy()
                 add_end(*of_group, one_each, place, shares, out)
-            out *= roots[order[group]]
+            if windows.weight is not None:
+                out *= roots[order[group]]
             yield out.reshape(-1, out.shape[2]), indices
 
     def residuals(self, windows: Windows, estimate: FloatArray) -> FloatArray:

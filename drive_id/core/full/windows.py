@@ -459,7 +459,7 @@ class _Sums:
             voltage=_summed(period * u_s),
             current=_summed(period * i_s),
             loaded=_summed(period * power * u_s),
-            crossing=_summed(2 * THIRD * period * (rising @ _AXES)),
+            crossing=_summed(period * frames.space_vector(rising)),
             sensed=_sensed(i_abc, stretch.i_s, period, shapes.scales),
             least=least,
             until=np.append(np.where(crossed, 0.0, least[:-1]), least[-1]),

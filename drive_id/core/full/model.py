@@ -266,7 +266,7 @@ class FullModel:
         They come in groups of windows that are close in current: these share most nonzero basis functions.
         """
         order, edges = _neighbours(windows.i_dq.reshape(len(windows), -1))
-        beside, roots = self._beside_flux(windows), np.sqrt(windows.weights)[:, None, None]
+        beside, weight = self._beside_flux(windows), windows.weight
         known = np.flatnonzero(beside.any(axis=(0, 1)))
         beside = beside.take(known, axis=2)
         ends = list(self._ends(windows.i_dq[order], windows.angle[order], self.summed, self.orders))
@@ -286,9 +286,8 @@ class FullModel:
             for turn, column, value, start, factor in ends:
                 of_group = column[group], value[group], turn[group], start, factor[:, group].copy()
                 add_end(*of_group, one_each, place, shares, out)
-            if windows.weight is not None:
-                out *= roots[order[group]]
-            yield out.reshape(-1, out.shape[2]), indices
+            rows = out if weight is None else out * np.sqrt(weight[order[group]])[:, None, None]
+            yield rows.reshape(-1, out.shape[2]), indices
 
     def residuals(self, windows: Windows, estimate: FloatArray) -> FloatArray:
         """Return Z times an estimate (size,), (N, 2), Vs."""
@@ -304,8 +303,7 @@ class FullModel:
         out[:, :, used] = known[:, :, met] @ beside[np.ix_(met, used)]
         for turn, column, value, start, factor in self._ends(windows.i_dq, windows.angle, self.columns, orders):
             add_end(column, value, turn, start, factor, t.indptr, t.indices, t.data, out)
-        out *= np.sqrt(windows.weights)[:, None, None]
-        return out
+        return out if windows.weight is None else out * np.sqrt(windows.weight)[:, None, None]
 
     def map_squares(self, windows: Windows) -> float:
         """Return the sum of the squares of the columns of a free map."""

@@ -17,6 +17,7 @@ from drive_id.core.full.solver import Solver
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import WindowCutter, Windows
 from drive_id.core.numerics.normal_equations import triangle_of
+from drive_id.core.numerics.threads import interruptible
 from drive_id.types import Samples
 
 LOW, HIGH = np.array([-310.0, -310.0]), np.array([310.0, 310.0])
@@ -206,6 +207,7 @@ def test_memory_does_not_grow_with_the_recording(free, samples, monkeypatch):
     monkeypatch.setattr("drive_id.core.full.model._GROUP", 128)
 
     def peak(passes):
+        """In one thread: how much two threads hold at a time differs by 5 % from run to run."""
         sums = WindowSums(dataclasses.replace(free, reciprocal=True))
         tracemalloc.start()
         for _ in range(passes):
@@ -215,9 +217,10 @@ def test_memory_does_not_grow_with_the_recording(free, samples, monkeypatch):
         tracemalloc.stop()
         return found
 
-    peak(3)  # what is computed once and kept
-    few = peak(3)
-    assert peak(9) < 1.05 * few
+    with interruptible(lambda: None, alone=True):
+        peak(3)  # what is computed once and kept
+        few = peak(3)
+        assert peak(9) < 1.05 * few
 
 
 @pytest.mark.parametrize("most", [7, 64, 5000])

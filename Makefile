@@ -32,11 +32,15 @@ endif
 COLCON += python "$$(PATH="$(BIN):$$PATH" command -v colcon)" --log-base log/$(DISTRO)
 BASES := --build-base build/$(DISTRO) --install-base install/$(DISTRO)
 
-.PHONY: help setup demo test bench population safety fuzz endure lint ament docs coverage mutation package colcon clean
+# What a test is long for (pyproject.toml), and which of them the second command of the README leaves out.
+LONG := accuracy or browser or process or slow
+PYTEST := DRIVE_ID_REQUIRE_ROS=1 PYTHONDONTWRITEBYTECODE= python -m pytest
+
+.PHONY: help setup demo check test test-all test-rest bench population safety fuzz endure lint ament docs coverage mutation package colcon clean
 
 help: ## list these targets
 	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3]"
-	@sed -n 's/^\([a-z]*\):.*## /  \1\t/p' Makefile | expand -t 12
+	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' Makefile | expand -t 12
 
 setup: ## make or update the environment (.venv, or .venv-DISTRO): ROS 2, dependencies, messages, drive_id
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || { echo "drive_id: $(PYTHON) is not a \
@@ -46,8 +50,17 @@ setup: ## make or update the environment (.venv, or .venv-DISTRO): ROS 2, depend
 demo: setup ## simulate a drive, identify it, and leave the results in out/demo: make demo ARGS=--free-shaft
 	@$(RUN) bash examples/demo.sh out/demo $(ARGS)
 
-test: setup ## run the tests on all cores (JOBS=0: in one process); options for pytest: make test ARGS="-k bag"
-	@$(RUN) DRIVE_ID_REQUIRE_ROS=1 PYTHONDONTWRITEBYTECODE= python -m pytest -n $(JOBS) --dist loadscope $(ARGS)
+check: lint ## before each commit: lint, and the tests that need no fit, node, process or browser
+	@$(RUN) $(PYTEST) -q -n $(JOBS) --dist loadscope -m "not ($(LONG))" $(CHECKED) $(ARGS)
+
+test: setup ## every module, command, node, page and format once (JOBS=0: in one process): make test ARGS="-k bag"
+	@$(RUN) $(PYTEST) -n $(JOBS) --dist loadscope -m "not ($(LONG)) or essential" $(ARGS)
+
+test-all: setup ## all tests: accuracy of many drives, faults of processes, and browsers as well
+	@$(RUN) $(PYTEST) -n $(JOBS) --dist loadscope $(ARGS)
+
+test-rest: setup ## what test-all has beyond test
+	@$(RUN) $(PYTEST) -n $(JOBS) --dist loadscope -m "($(LONG)) and not essential" $(ARGS)
 
 bench: setup ## run the benchmarks
 	@$(RUN) python benchmarks/run.py $(ARGS)

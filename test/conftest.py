@@ -14,6 +14,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores: more threads
 import hypothesis
 import pytest
 from drive_bags import TRAJECTORY
+from processor_time import ProcessorTime
+from store import open_store
 
 import drive_id
 from drive_id.bench.machines import machine_map
@@ -81,6 +83,15 @@ def pytest_xdist_make_scheduler(config, log):
 
     config.option.loadscopereorder = False  # as sorted below, where a worker starts
     return Scheduling(config, log)
+
+
+def pytest_configure(config):
+    os.environ |= {"COLUMNS": "80", "TERM": "dumb"}  # whatever terminal "make test" is called in
+    for name in ("FORCE_COLOR", "NO_COLOR"):
+        os.environ.pop(name, None)
+    config.pluginmanager.register(ProcessorTime())
+    if cache := getattr(config, "cache", None):
+        open_store(cache.mkdir("drive_id_store"))
 
 
 def pytest_collection_modifyitems(config, items):

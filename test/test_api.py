@@ -73,6 +73,7 @@ def test_all_public_names_are_there():
 # -- fit -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # two fits by the default method
 def test_fit_and_the_command_line_give_the_same_numbers(bag, result, tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["drive-id", "fit", str(bag), "--output", str(tmp_path / "out"), "--quiet"])
     with pytest.raises(SystemExit) as end:

@@ -31,6 +31,7 @@ def _benchmarks(monkeypatch):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
 
 
+@pytest.mark.process
 def test_the_command():
     ran = subprocess.run(
         [sys.executable, BENCHMARKS / "endurance.py", "--only", "crash", "--states", "2", "--recordings", "convert"],

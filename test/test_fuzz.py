@@ -30,6 +30,7 @@ def fuzz(monkeypatch):
     return fuzz
 
 
+@pytest.mark.process
 def test_a_slice(tmp_path):
     command = [sys.executable, BENCHMARKS / "fuzz.py", "--count", "1", "--seed", "0", "--bombs", "fifo"]
     command += ["--kinds", ",".join(KINDS)]

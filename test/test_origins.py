@@ -105,6 +105,7 @@ def words(content: Content, result: drive_id.Identification) -> str:
     return " ".join([*said, *content.missing.values(), repr(result), result._repr_html_()])
 
 
+@pytest.mark.slow  # a report is drawn for each origin
 @pytest.mark.parametrize("name", TABLE)
 def test_a_report_has_what_its_origin_has_and_says_what_is_true_of_it(results, name):
     sections, figures, rows, wanted, unwanted = TABLE[name]

@@ -36,6 +36,7 @@ def test_the_experiments_are_those_of_the_paper(reproduction):
     assert reproduction.SECONDS == 10.0
 
 
+@pytest.mark.accuracy
 def test_every_experiment_has_all_methods(results):
     assert [(row.experiment, row.method) for row in results.rows] == [
         (experiment, method)

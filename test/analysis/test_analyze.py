@@ -183,6 +183,7 @@ def test_currents_far_beyond_the_map_are_refused(result):
         drive_id.analyze(result, replace(SMALL, i_max=1e9))
 
 
+@pytest.mark.slow  # a whole analysis
 def test_without_a_dc_link_all_that_needs_none_is_there(result, tmp_path):
     known = drive_id.analyze(result, SMALL)
     found = drive_id.analyze(replace(result, provenance=replace(result.provenance, u_dc=None)), SMALL)
@@ -209,6 +210,7 @@ def test_what_is_missing_is_named_in_one_sentence(result, tmp_path):
         drive_id.analyze(tmp_path, SMALL)
 
 
+@pytest.mark.slow  # a whole analysis
 def test_without_a_resistance_voltages_are_limited_all_the_same_and_losses_unknown(result, tmp_path):
     """An imported map may have none; no limit of the voltage was kept then."""
     unknown = replace(result, drive=replace(result.drive, resistance=np.nan))
@@ -260,6 +262,7 @@ def run(monkeypatch, capsys):
     return run
 
 
+@pytest.mark.slow  # a whole analysis
 def test_the_command_writes_what_the_object_does(result, folder, run, tmp_path):
     result.save(tmp_path / "result", draw=False)
     small = [

@@ -11,6 +11,7 @@ import pytest
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
 
 
+@pytest.mark.slow  # an independent optimization finds every quantity
 @pytest.mark.parametrize(
     ("name", "limits"),
     [

@@ -201,6 +201,7 @@ def instants(monkeypatch):
     return rows
 
 
+@pytest.mark.slow  # the switching level is integrated
 @pytest.mark.parametrize("name", COMBINATIONS)
 def test_energy_is_conserved(name, instants):
     """Input = copper + iron + inverter + magnets + torque x speed + change of the stored energy.
@@ -377,6 +378,7 @@ def fine_legs(u_abc, i, dead_time, capacitance, machine):
     return np.array(out)
 
 
+@pytest.mark.slow  # scipy integrates the legs
 @pytest.mark.parametrize(("capacitance", "error"), [(3e-8, 0.12), (3e-9, 0.2), (1e-13, 0.8)])
 def test_a_switching_inverter_matches_legs_with_capacitances(capacitance, error):
     """Within ``error``, V, per period, where the dead time costs 12 V; phase currents cross zero."""

@@ -543,6 +543,7 @@ def test_simulate_and_fit_recover_the_truth(run, tmp_path):
     assert tree(tmp_path / "system_tmp") == []
 
 
+@pytest.mark.slow  # a picture is drawn in each format
 def test_the_format_of_the_pictures_is_an_option(run, bag):
     for figure_format, start in (("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")):
         assert run("fit", bag, "--output", "results", "--method", "psm", "--figure-format", figure_format).code == 0
@@ -646,6 +647,7 @@ def test_info(run, bag):
     assert_one_sentence(run("info", "none"), "does not exist")
 
 
+@pytest.mark.slow  # a fit by the default method
 def test_info_of_a_result_and_its_simulation(run, bag):
     """A result folder is shown, and drives a simulation whose fit gives the result again."""
     fitted = run("fit", bag, "--output", "result", "--method", "full", "--json")
@@ -698,6 +700,7 @@ def test_statements_stand_under_the_warnings(run, bag):
     assert set(statements[:-1]) < set(verbose)
 
 
+@pytest.mark.slow  # a report is drawn
 def test_a_machine_has_a_name_in_all_files(run, bag):
     ran = run(
         "fit", bag, "--output", "named", "--method", "joint", "--machine", "EM 3", "--set", "serial='007'", "--report"
@@ -762,6 +765,7 @@ def cpu_seconds(process: subprocess.Popen) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
+@pytest.mark.process
 def test_an_interrupt_ends_without_a_traceback_and_leaves_nothing(tmp_path):
     command = [SCRIPT, "simulate", "--machine", "ipm", "--output", "new", "--seconds", "900"]
     process = subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -780,6 +784,7 @@ def test_an_interrupt_ends_without_a_traceback_and_leaves_nothing(tmp_path):
 # -- plans -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # an experiment is planned
 @pytest.mark.usefixtures("coarse_plans")
 def test_a_plan_is_printed_and_written(run):
     ran = run("plan", "--machine", "spm", "--duration", "4", "--speed-max", "800", "--output", "plan.yaml")
@@ -816,6 +821,7 @@ def test_plans_that_cannot_be(run):
 # -- reports -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow  # two reports are drawn
 def test_a_fit_leaves_a_report_and_a_new_one_without_it_none(run, bag):
     assert run("fit", bag, *JOINT, "--output", "results", "--report", "--quiet").code == 0
     assert "report.html" in tree(Path("results"))
@@ -891,6 +897,7 @@ print(*codes)
 """Runs commands, each one's words between tabs, and prints their exit codes."""
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("encoding", ["ascii:strict", "utf-8:strict"])
 def test_names_neither_move_the_cursor_nor_stop_the_output(tmp_path, simulation, encoding):
     samples = simulation.samples

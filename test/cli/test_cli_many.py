@@ -100,6 +100,7 @@ def test_bad_bags_are_left_out_on_request(run, bag, other, tmp_path):
     assert warnings[0].startswith(f"Left out: {tmp_path / 'bad.mcap'} is neither")
 
 
+@pytest.mark.process
 def test_several_processes(run, bag, other, tmp_path):
     """The way the workers are started by the command itself."""
     (tmp_path / "bad.mcap").write_text("no bag")

@@ -42,6 +42,7 @@ def test_info_reads_a_bag_without_numerics_and_message_definitions(bag):
     assert not modules & {"numpy", "numba", "scipy", "matplotlib", "rosbags", "distributed"}
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("method", ["joint", "full"])
 def test_a_fit_does_not_load_what_it_has_no_use_for(simulation, tmp_path, method):
     write_recording(tmp_path / "bag", simulation.samples)  # as of a real drive, without the truth to compare with

@@ -193,6 +193,7 @@ def test_simscape_with_inductances():
     assert file["LdMatrix"][ZERO_D, ZERO_Q] == pytest.approx(inductances(0.0, 0.0)[0], rel=1e-2)
 
 
+@pytest.mark.slow  # control tables over torque and speed
 def test_motor_control():
     pmsm = mat("motor-control")["pmsm"]
     lut = pmsm.PMSMLUT
@@ -477,6 +478,7 @@ def notched(depth=0.03):
     return replace(DRIVE, drive=replace(DRIVE.drive, flux_map=found))
 
 
+@pytest.mark.slow  # controllers of several machines
 def test_no_gain_is_negative():
     drive = notched()
     assert drive.flux_map.inductances(0.0, 0.0)[0, 0] < 0

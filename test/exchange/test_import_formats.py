@@ -95,6 +95,7 @@ def syre_model(axis):
     return {"Id": i_d, "Iq": i_q, "Fd": psi_d, "Fq": psi_q}
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("axis", ["PM", "SR"])
 def test_syre(tmp_path, axis):
     maps = syre_model(axis)
@@ -113,6 +114,7 @@ def test_syre(tmp_path, axis):
             import_map(other)
 
 
+@pytest.mark.process
 def test_a_syre_flux_file_that_does_not_tell_its_axes(tmp_path):
     savemat(tmp_path / "fdfq.mat", syre_model("SR"))
     with pytest.raises(ConfigurationError, match="'--axis sr'"):
@@ -137,6 +139,7 @@ def motor_cad(i_d, i_q):
     }
 
 
+@pytest.mark.process
 def test_motor_cad_on_a_rectangular_grid(tmp_path):
     savemat(tmp_path / "SaturationLossMap.mat", motor_cad(*grids()))
     found = import_map(Source(tmp_path / "SaturationLossMap.mat"))

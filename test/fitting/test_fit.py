@@ -49,6 +49,7 @@ def test_simulate_then_fit_recovers_the_truth(machine, error, tmp_path):
     assert psm.drive.voltage_error == 0.0
 
 
+@pytest.mark.accuracy
 def test_a_recorded_torque_is_compared_on_every_way_from_bags_to_a_result(tmp_path):
     """From a bag that is kept whole, an information file, and excerpts of a bag that is too long for that."""
     settings = SimulationSettings(log_scalars=("shaft_torque",), current_gain=(1.02, 1.02, 1.02), harmonics=0.0)

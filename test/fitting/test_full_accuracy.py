@@ -19,6 +19,8 @@ from drive_id.core.result.identify import gather, identify, score
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import MachineMap
 
+pytestmark = pytest.mark.accuracy
+
 FULL, JOINT = FitSettings(method="full"), FitSettings(method="joint")
 IPM = machine_map("ipm")
 NOISY = SimulationSettings(current_noise=2e-3)

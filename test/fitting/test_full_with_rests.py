@@ -16,6 +16,8 @@ from drive_id.core.full.calibration import mirrored_points
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather, identify, score
 
+pytestmark = pytest.mark.accuracy
+
 COMPENSATES, STANDS_OUT = "compensates its inverter", "stand out"
 
 

@@ -35,6 +35,7 @@ def results(recordings):
     return {machine: drive_id.fit(samples, settings=LOCKED) for machine, samples in recordings.items()}
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("machine", POSITIONS)
 def test_the_flux_at_the_position_of_the_rotor_is_found(results, recordings, machine):
     result, found = results[machine], results[machine].flux_map
@@ -98,6 +99,7 @@ def test_recordings_at_several_positions_are_refused(recordings):
         drive_id.fit([recordings["ipm"], other], settings=LOCKED)
 
 
+@pytest.mark.accuracy
 def test_an_information_file_keeps_what_it_was_checked_for(tmp_path):
     for method, speed, other in (("locked", 0.0, "full"), ("full", 500.0, "locked")):
         bag = tmp_path / method

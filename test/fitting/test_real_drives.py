@@ -19,6 +19,8 @@ from drive_id.core.full.model import EFFECTS
 from drive_id.core.result.identify import identify, score
 from drive_id.fitting.simulated import run_experiment
 
+pytestmark = pytest.mark.accuracy
+
 IPM = machine_map("ipm")
 GOOD = SimulationSettings(current_noise=1e-3)
 BOTH_WAYS = {"speeds": (500.0, -900.0)}

@@ -43,6 +43,7 @@ def relative_errors(samples, truth):
     ], {entry.name: entry for entry in found.calibrations}["voltage_delay"]
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(
     ("machine", "every", "settings"),
     [
@@ -57,6 +58,7 @@ def test_standard_errors_cover_those_by_an_interpolated_angle(machine, every, se
     assert min(errors) > 0.4
 
 
+@pytest.mark.accuracy
 def test_a_ripple_at_half_the_rate_of_the_angle_is_not_taken_for_a_voltage_delay():
     samples, truth = simulated("ipm", speeds=(800.0,), speed_ripple=0.1, ripple_order=18)
     slow = with_slow_angle(samples, 20)

@@ -85,6 +85,7 @@ def test_whatever_the_order_and_the_mixture(bags, infos, together, tmp_path):
         assert_same_fit(fit_bags(Sources(sources), None, RADIUS), together)
 
 
+@pytest.mark.accuracy
 def test_method_full_merges_too(bags, tmp_path):
     settings = FitSettings("full", i_max=300.0, harmonic_orders=(6,))
     for bag in bags:
@@ -230,6 +231,7 @@ def assert_same_bits(one, other) -> None:
         np.testing.assert_array_equal(first.i_abc, second.i_abc)
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("settings", [RADIUS, JOINT])
 def test_the_result_of_several_processes_is_that_of_one(bags, infos, settings):
     told = []
@@ -242,6 +244,7 @@ def test_the_result_of_several_processes_is_that_of_one(bags, infos, settings):
     assert not multiprocessing.active_children()
 
 
+@pytest.mark.process
 def test_a_bad_bag_ends_the_processes_or_is_left_out(bags, tmp_path):
     (tmp_path / "bad.mcap").write_text("no bag")
     sources = [bags[0], tmp_path / "bad.mcap", *bags[1:]]
@@ -257,6 +260,7 @@ def die(number):
     return number
 
 
+@pytest.mark.process
 def test_a_process_that_dies_is_told():
     with pytest.raises(WorkerError, match="has died, probably for lack of memory: use fewer --workers"):
         list(in_processes(die, range(8), 2))

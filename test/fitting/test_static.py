@@ -63,6 +63,7 @@ def test_arrays_and_a_csv_file_give_the_same(data, log, tmp_path):
     assert loaded.statements[0].startswith("9 operating points at rest")
 
 
+@pytest.mark.accuracy
 def test_the_transient_bench_gives_its_machine():
     """Held references on the switched drive with harmonics, recorded in phases at 10 kHz, averaged to 10 Hz."""
     machine, rng = machine_map("spm"), np.random.default_rng(1)

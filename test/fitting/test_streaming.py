@@ -116,6 +116,7 @@ def test_gaps_and_losses(simulation, tmp_path):
     assert any("repeated" in text for text in found.warnings)
 
 
+@pytest.mark.accuracy
 @pytest.mark.usefixtures("long")
 def test_several_bags(simulation, bag, tmp_path):
     samples = simulation.samples
@@ -289,6 +290,7 @@ def repeated(path: Path, samples, times: int) -> Path:
     return write_blocks(path, many)
 
 
+@pytest.mark.process
 def test_memory_does_not_grow_with_the_recording(simulation, tmp_path):
     """A recording of 80 s against one of 20 s; the shorter one is too long to be kept as a whole already.
 

@@ -263,6 +263,7 @@ def test_formats(drive, excerpts, figure_format):
         assert len(content) < 3e6  # the trajectory is not drawn as 20000 vectors
 
 
+@pytest.mark.slow  # it is timed again where the machine is busy
 def test_both_pictures_take_less_than_a_second_and_a_half(drive, excerpts):
     taken = []
     for _ in range(3):  # the first one loads fonts
@@ -305,6 +306,7 @@ def degenerate(drive):
     yield replace(drive, i_max=1e5)
 
 
+@pytest.mark.slow  # all pictures of several results
 @pytest.mark.parametrize("part", [0, 1])  # for two processes
 def test_degenerate_results_are_drawn_without_a_warning(drive, excerpts, part):
     for found in list(degenerate(drive))[part::2]:

@@ -68,6 +68,7 @@ def imported(fitted):
     return drive_id.Identification(drive, provenance)
 
 
+@pytest.mark.slow  # reports are drawn
 @pytest.mark.parametrize("name", ["fitted", "full_like", "imported"])
 def test_nothing_is_loaded_and_the_file_is_small(name, request):
     page = request.getfixturevalue("page") if name == "fitted" else page_of(request.getfixturevalue(name))
@@ -129,6 +130,7 @@ def test_the_twin_is_identification_json(fitted, page, tmp_path):
     assert page_of(drive_id.load(tmp_path / "result")).data("identification") == stored
 
 
+@pytest.mark.slow  # a report is drawn
 def test_names_and_warnings_stay_text(fitted):
     provenance = replace(
         fitted.provenance,
@@ -191,6 +193,7 @@ def test_the_methods_are_those_fits_of_their_own(bag, fitted, page):
     assert apart[k][j] == pytest.approx(1e3 * at, rel=1e-3)
 
 
+@pytest.mark.slow  # a report is drawn
 def test_a_report_of_a_psm_fit_says_what_it_lacks(bag):
     page = page_of(fit_bags(Sources([bag]), None, FitSettings(method="psm")))
     assert "does not model the inverter" in page.by_id("inverter").text()
@@ -199,6 +202,7 @@ def test_a_report_of_a_psm_fit_says_what_it_lacks(bag):
     assert [method["name"] for method in page.data("charts")["comparison"]["methods"]] == ["joint"]
 
 
+@pytest.mark.slow  # a report is drawn
 def test_a_full_result_shows_bands_phases_and_faults(full_like):
     page = page_of(full_like)
     drawn = page.data("charts")["inverter"]
@@ -235,6 +239,7 @@ def test_an_imported_map_has_a_report(imported):
     assert charts["map"]["quantities"][0]["sigma"] is None
 
 
+@pytest.mark.slow  # a report is drawn
 def test_a_stored_result_has_the_same_report(fitted, page, tmp_path):
     fitted.save(tmp_path / "result", draw=False)
     size = (tmp_path / "result" / "diagnostics.npz").stat().st_size
@@ -252,6 +257,7 @@ def test_a_stored_result_has_the_same_report(fitted, page, tmp_path):
     assert ours["map"] == theirs["map"] | {"trajectory": ours["map"]["trajectory"]}
 
 
+@pytest.mark.slow  # a report is drawn
 def test_a_fit_stores_what_its_samples_give(bag, fitted, tmp_path):
     """From the sums of all samples, or from the samples that the result keeps: the same."""
     found = fit_bags(Sources([bag]), tmp_path / "result", FitSettings(method="joint"))
@@ -264,6 +270,7 @@ def test_a_fit_stores_what_its_samples_give(bag, fitted, tmp_path):
     np.testing.assert_allclose(stored.psi_d, kept.psi_d, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.slow  # a report is drawn
 def test_a_folder_of_an_earlier_version_has_a_report(fitted, tmp_path):
     fitted.save(tmp_path / "result", draw=False)
     (tmp_path / "result" / "diagnostics.npz").unlink()
@@ -323,6 +330,7 @@ def test_the_answer_stands_first_with_its_names(fitted):
     assert [list(row) for row in rows[4 : 4 + len(answer)]] == answer
 
 
+@pytest.mark.slow  # a report is drawn
 def test_no_folder_of_this_computer_is_in_a_report(fitted):
     (file,) = fitted.provenance.inputs
     folder = str(Path(file).parent.parent)
@@ -342,6 +350,7 @@ def test_the_paragraph_has_the_results_own_numbers(fitted, page):
     assert "doi:10.1049/icp.2025.2025" in text
 
 
+@pytest.mark.slow  # a report is drawn
 def test_the_levels_follow_the_figures(fitted):
     report = replace(fitted.drive.report, coverage=0.5, mad_d=0.05 * fitted.i_max)
     page = page_of(replace(fitted, drive=replace(fitted.drive, report=report), stored=fitted.diagnostics))
@@ -380,6 +389,7 @@ def test_a_report_is_replaced_and_nothing_else(fitted, page, tmp_path, monkeypat
     assert [file.name for file in tmp_path.rglob("*")] == ["new", "report.html"]
 
 
+@pytest.mark.slow  # a report is drawn
 def test_the_pdf_holds_the_same_words_within_its_pages(full_like, tmp_path, monkeypatch):
     pages = []
     monkeypatch.setattr(pdf.PdfPages, "savefig", lambda _self, figure, **_: pages.append(figure))
@@ -408,6 +418,7 @@ def test_the_pdf_holds_the_same_words_within_its_pages(full_like, tmp_path, monk
         assert all(box.x0 > 0 and box.x1 < width and box.y0 > 0 and box.y1 < height for box in boxes)
 
 
+@pytest.mark.slow  # a report is drawn
 def test_the_pdf_is_one(fitted, tmp_path):
     written = fitted.report(tmp_path / "report.html", pdf=True)
     assert [path.name for path in written] == ["report.html", "report.pdf"]
@@ -421,6 +432,7 @@ def test_the_pdf_is_one(fitted, tmp_path):
         check_report_output(written[0], pdf=True)
 
 
+@pytest.mark.slow  # a report is drawn
 def test_the_efficiency_is_that_of_the_power_balance(fitted):
     """By brute force: the least current of the torque on a fine polar grid, and its losses."""
     result = replace(fitted, provenance=replace(fitted.provenance, u_dc=400.0))
@@ -442,6 +454,7 @@ def test_the_efficiency_is_that_of_the_power_balance(fitted):
     assert speeds["iron"] is False
 
 
+@pytest.mark.slow  # a report is drawn
 def test_the_efficiency_is_known_up_to_the_largest_torque(fitted):
     """Its currents lie at the rim of the data, whose grid cells have corners beyond."""
     flux_map = fitted.flux_map
@@ -453,6 +466,7 @@ def test_the_efficiency_is_known_up_to_the_largest_torque(fitted):
     assert np.isfinite(np.array(speeds["efficiency"], float)[below]).all()
 
 
+@pytest.mark.slow  # a report is drawn
 def test_the_drop_is_told_as_a_dead_time(fitted):
     """2 V of 400 V are 0.5 % of the period, 0.5 µs at 10 kHz."""
     drive = replace(fitted.drive, voltage_error=2.0, sigma_voltage_error=0.02)

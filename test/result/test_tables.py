@@ -54,6 +54,7 @@ def test_a_result_is_drawn_on_given_axes(result):
         result.plot(panels[:1])
 
 
+@pytest.mark.slow  # analyses are drawn
 def test_an_analysis_is_a_table_and_a_picture(result):
     found = drive_id.analyze(result, drive_id.AnalysisSettings(u_dc=(300.0, 400.0)))
     assert found.to_pandas().loc["max_torque", "value"] == found.figures["max_torque"].value
@@ -89,6 +90,7 @@ def test_progress_is_shown_on_a_bar(samples):
     assert bar.total == 1.0
 
 
+@pytest.mark.slow  # reports are drawn
 def test_a_report_takes_what_a_folder_lacks(result, tmp_path):
     replace(result, provenance=replace(result.provenance, u_dc=None)).save(tmp_path / "folder")
     for name, known in (("without", {}), ("with", {"u_dc": 321.0})):

@@ -416,6 +416,7 @@ def test_a_coarse_phase(ipm):
 # -- good drives, and the way through evidence ----------------------------------------------------------------------
 
 
+@pytest.mark.accuracy
 def test_good_drives_are_told_nothing():
     accused = {}
     for seed in range(GOOD_DRIVES):

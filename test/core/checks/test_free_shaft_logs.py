@@ -90,12 +90,14 @@ def test_a_reluctance_machine_with_magnets_has_no_offset_of_the_currents():
     assert "current_offset" not in checked(swung("pmsyrm", seconds=8.0, frequency=5.0, mean_speed=40.0))
 
 
+@pytest.mark.slow  # 10 s of a swinging shaft are simulated
 def test_currents_locked_to_the_position_are_no_offset():
     """Over turns that repeat forth and back, they had a constant part of 21 A."""
     samples = simulate_swing(machine_map("ipm"), replace(DRIVE, controller_inductance=1.0), Swing(), 10.0).samples
     assert checked(samples) == []
 
 
+@pytest.mark.slow  # 20 s of a swinging shaft are simulated
 def test_reversals_within_a_turn_are_no_offset():
     """Parts of turns, with one sign of the current at the same angles again and again, looked like 2.7 V."""
     drive = replace(DRIVE, inertia=7.02e-4, inverter="tanh", inverter_voltage=6.5, speed_observer=100.0, seed=1)
@@ -110,6 +112,7 @@ def test_an_offset_is_still_found_on_a_free_shaft():
     assert "current_offset" in checked(wrong)
 
 
+@pytest.mark.accuracy
 def test_an_offset_of_the_sensors_is_traced_in_the_flux():
     """The mean slope of the drop, which does not act on a constant voltage here, gave 0.11 ± 0.004 A of 1 A."""
     drive = replace(DRIVE, inverter="tanh", inverter_voltage=6.5, current_offset=(1.0, -0.5, -0.5), seed=1)

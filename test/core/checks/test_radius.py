@@ -105,6 +105,7 @@ def test_prepared_evidence_knows_what_was_reached(samples):
     assert prescan.prepare(FitSettings("joint")).reached == prescan.radius == pytest.approx(300.0, rel=1e-3)
 
 
+@pytest.mark.slow  # 5 s at 10 kHz are checked
 def test_too_large_an_i_max_does_not_hide_the_mirrored_currents(simulation):
     """It was once said that i_q had one sign only."""
     found = identify([simulation.samples], FitSettings("full", i_max=1200.0, harmonic_orders=(6,)))

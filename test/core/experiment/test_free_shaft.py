@@ -129,6 +129,7 @@ def test_a_swing_about_standstill_stays_in_its_band():
     assert abs(np.nanmean(cell.means[100:-10])) < 0.1 * cell.settings.shaft_speed_max
 
 
+@pytest.mark.slow  # minutes of a heavy rotor are simulated
 @pytest.mark.parametrize("friction", [0.01, 0.05])
 def test_a_heavy_rotor_is_held_at_its_mean_speed_whatever_its_friction(friction):
     """A proportional feedback alone stays behind by what friction takes."""

@@ -32,6 +32,7 @@ def fitted(fast):
     return found, max(score(found, fast.truth))
 
 
+@pytest.mark.accuracy
 def test_the_current_between_samples_is_counted(fast, monkeypatch):
     found, error = fitted(fast)
     assert error < 2e-4
@@ -53,6 +54,7 @@ class OneWindow(SimpleNamespace):
         return self.i_dq[..., 0] + 1j * self.i_dq[..., 1]
 
 
+@pytest.mark.slow  # the oracle integrates in time
 def test_resistive_voltage_and_drop_over_a_sample_agree_with_integration_in_time():
     """A linear machine, integrated by scipy over one sample of 15 degrees, with a drop that the current crosses."""
     model = FullModel(np.array([-10.0, -10.0]), np.array([10.0, 10.0]), 10.0, ())

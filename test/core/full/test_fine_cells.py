@@ -66,6 +66,7 @@ def smooth():
     return fitted(gathered(smooth_flux))
 
 
+@pytest.mark.accuracy
 def test_fine_cells_are_used_where_they_are_needed(detailed, fine, monkeypatch):
     assert fine.model.resolution.finer_than_usual
     monkeypatch.setattr(selection, "_REFINEMENTS", 0)
@@ -85,10 +86,12 @@ def test_a_smooth_map_keeps_the_usual_cells(smooth):
     assert not smooth.model.resolution.finer_than_usual
 
 
+@pytest.mark.accuracy
 def test_noise_forbids_fine_cells():
     assert not fitted(gathered(detailed_flux, noise=10.0)).model.resolution.finer_than_usual
 
 
+@pytest.mark.accuracy
 def test_bands_include_what_the_model_cannot_follow(smooth):
     assert not smooth.assessment.misfit.missed.any()
     found = identify([record(whirling_flux, duration=4.0, noise=0.1)], SETTINGS).flux_map

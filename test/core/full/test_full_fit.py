@@ -72,6 +72,7 @@ def test_it_finds_the_truth_and_says_how_well(result):
     assert all(sentence.endswith(".") for sentence in result.statements)
 
 
+@pytest.mark.accuracy
 def test_what_noise_takes_from_the_map_is_given_back():
     """Against the fit to the same currents without noise, in the mean over other noise."""
     clean = record(drop=even_drop, duration=4.0)
@@ -103,6 +104,7 @@ def test_deviations_grow_with_the_noise(result):
     assert np.isnan(result.flux_map.sigma_d[~result.flux_map.inside]).all()
 
 
+@pytest.mark.accuracy
 def test_free_maps_are_taken_when_the_machine_is_not_reciprocal():
     found = identify([record(saturating_flux, drop=even_drop, duration=4.0, noise=0.3)], FULL)
     assert np.all(errors(found, saturating_flux) < 1e-3)
@@ -135,6 +137,7 @@ def test_voltages_recorded_beside_their_time_are_moved_back(samples, late):
     assert abs(plain.solution.resistance - 0.02) < 1e-3
 
 
+@pytest.mark.accuracy
 def test_what_is_uncertain_of_a_delay_is_uncertain_of_the_map(samples):
     """A delay of no half or whole sample, by which the fluxes turn, is not known exactly."""
     once, twice = (np.roll(samples.u_abc, -shift, axis=0) for shift in (1, 2))
@@ -146,6 +149,7 @@ def test_what_is_uncertain_of_a_delay_is_uncertain_of_the_map(samples):
     assert sigma(form @ fit.assessment.changes) > 0.9 * turned * 0.08  # psi_q by psi_d = 80 mWb
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(("late", "word"), [(1, "later"), (-1, "earlier")])
 def test_voltages_that_slip_within_a_recording_are_refused(samples, late, word):
     part, half = samples.part(0, 20_000), 10_000
@@ -158,6 +162,7 @@ def test_voltages_late_throughout_one_recording_are_no_slip(samples):
     assert fitted(replace(samples, u_abc=np.roll(samples.u_abc, 1, axis=0))).assessment.jump is None
 
 
+@pytest.mark.accuracy
 def test_an_offset_of_the_angle_is_found_by_symmetry(samples):
     turned = identify([replace(samples, angle=samples.angle + 0.03)], FULL)
     found = {entry.name: entry for entry in turned.calibrations}["resolver_offset"]
@@ -168,6 +173,7 @@ def test_an_offset_of_the_angle_is_found_by_symmetry(samples):
     assert errors(as_measured).max() > 5e-3
 
 
+@pytest.mark.accuracy
 def test_gain_mismatch_is_traced_back(samples):
     gains, offset = np.array([1.006, 0.997, 0.997]), np.array([0.6, -0.2, -0.4])
     faulty = identify([replace(samples, i_abc=samples.i_abc * gains + offset)], FULL)
@@ -187,6 +193,7 @@ def test_each_phase_may_have_its_own_curve():
     assert np.all(errors(found) < 2e-3)
 
 
+@pytest.mark.accuracy
 def test_a_map_that_folds_can_be_kept_from_it():
     """Few noisy data and free maps give spurious folds."""
     weak = record(drop=even_drop, duration=1.5, noise=12.0)

@@ -39,6 +39,7 @@ def test_noise_explains_the_residuals_of_a_drive_that_obeys_the_model(good):
     assert misfit.changes.shape[1] == 0
 
 
+@pytest.mark.accuracy
 def test_what_repeats_over_the_rotor_position_widens_the_standard_errors(good, bad):
     found = fit(bad)
     misfit = found.assessment.misfit

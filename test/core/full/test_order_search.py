@@ -64,6 +64,7 @@ def test_the_strongest_comes_first(windows, monkeypatch):
     assert unexpected_orders(model, residual, windows.kept(), ()) == (18, 6)
 
 
+@pytest.mark.accuracy
 def test_an_order_that_nobody_asked_for_is_found_and_fitted(simulation):
     settings = FitSettings("full", i_max=simulation.truth.i_max)
     found = identify([simulation.samples], settings)

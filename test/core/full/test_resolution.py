@@ -76,6 +76,7 @@ def bridged(width, spacing=4.0, roughness=0.0):
     return MachineMap("bridged", axis, axis, psi_d + rough_d, psi_q + rough_q, 3.5e-3, 4, 400.0, 400.0)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(
     "machine", [bridged(8.0), bridged(15.0), bridged(8.0, spacing=14.0, roughness=3e-5)], ids=["8 A", "15 A", "rough"]
 )
@@ -92,6 +93,7 @@ def test_saturating_bridges_are_told_from_dead_time(machine):
     assert any("finer detail than the usual" in statement for statement in found.statements)
 
 
+@pytest.mark.accuracy
 def test_iron_loss_across_a_bridge_is_no_delay():
     """On usual cells, as wide as the bridge, a delay of -0.5 samples explains more: 1.3 % of the flux, R -49 %."""
     settings = SimulationSettings(current_noise=1e-3, speeds=(1500.0,), iron_conductance=0.2)

@@ -78,6 +78,7 @@ def test_a_drop_that_follows_the_current_needs_no_weights(good_fit):
     assert np.isnan(good_fit.crossings)
 
 
+@pytest.mark.accuracy
 def test_a_drop_that_does_not_is_kept_out_of_map_and_resistance(good_fit, stuck, monkeypatch):
     found, without = fit(stuck), good_fit
     with monkeypatch.context() as patched:
@@ -96,6 +97,7 @@ def test_a_drop_that_does_not_is_kept_out_of_map_and_resistance(good_fit, stuck,
     assert weights[clearance == 0].max() < 1e-2 * weights[clearance > 2 * NEAR].min()
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_an_offset_of_the_currents_that_explains_the_crossings_needs_no_weights(good, offset):
     found = fit(replace(good, i_abc=good.i_abc + offset * frames.phases(np.array([1 + 0.5j]))))
@@ -103,6 +105,7 @@ def test_an_offset_of_the_currents_that_explains_the_crossings_needs_no_weights(
     assert found.solution.spec.effects == ("current_offset",)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("offset", OFFSETS)
 def test_an_offset_beside_a_drop_that_sticks_does_not_prevent_weights(good, offset):
     both = replace(good, i_abc=good.i_abc + offset * frames.phases(np.array([1 + 0.5j])))

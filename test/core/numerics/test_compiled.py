@@ -45,6 +45,7 @@ def test_constant_arrays_may_be_read_only():
         scans.mark_rests(np.ones((3, 2)), 1.0, 1.0, 1.0, 0, stamp.view(np.bool_)[:3])
 
 
+@pytest.mark.process
 def test_the_first_compilation_is_told_once(tmp_path):
     first = told(f"{ROTATE}; from drive_id.core.numerics.scans import rising; rising(np.arange(3))", tmp_path)
     assert len(first) == 1

@@ -203,6 +203,7 @@ def pmsyrm():
     return plan(replace(rough_settings("pmsyrm"), duration=4.0))
 
 
+@pytest.mark.slow  # two experiments are planned with all cells
 def test_a_plan_expects_less_deviation_than_the_papers_experiment(pmsyrm):
     ours, paper = pmsyrm.prediction, pmsyrm.paper_prediction
     assert pmsyrm.paper.duration == pmsyrm.experiment.duration == 4.0
@@ -212,6 +213,7 @@ def test_a_plan_expects_less_deviation_than_the_papers_experiment(pmsyrm):
     assert len(pmsyrm.voltages) == len(pmsyrm.experiment.speeds)
 
 
+@pytest.mark.accuracy
 def test_a_planned_experiment_beats_the_papers_in_simulation(pmsyrm):
     """With rotor harmonics, a dead-time inverter and noise, by method full; over seeds, as R is one number."""
     planned, paper = (
@@ -233,6 +235,7 @@ def _errors(experiment: PlannedExperiment, seed: int) -> np.ndarray:
     return np.array([*score(found, truth), resistance, np.std(found.inverter_voltage - curve)])
 
 
+@pytest.mark.slow  # several experiments are planned
 @pytest.mark.usefixtures("coarse_plans")
 def test_the_duration_follows_from_the_accuracy_within_its_bounds(monkeypatch):
     scout, scouts = plan_module._Scout, {}  # what a figure tells does not depend on the accuracy
@@ -252,6 +255,7 @@ def test_the_duration_follows_from_the_accuracy_within_its_bounds(monkeypatch):
     assert "not the wanted 0.001 %" in warning
 
 
+@pytest.mark.slow  # experiments are planned with all cells
 @pytest.mark.usefixtures("coarse_plans")
 def test_one_speed_leaves_the_rotation_to_the_reciprocity():
     one = plan(replace(SETTINGS, speed_min=700.0, speed_max=700.0, reverse=False, duration=4.0))

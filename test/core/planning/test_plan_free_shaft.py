@@ -80,6 +80,7 @@ SLOTLESS = PlanSettings(
 )  # fmt: skip
 
 
+@pytest.mark.slow  # several swings are planned
 def test_a_current_controller_that_would_lose_the_currents_must_be_faster():
     found = plan_free_shaft(SLOTLESS, 2e-4)
     assert 120.0 < found.bandwidth <= 0.2 / (2 * math.pi * 1e-4)

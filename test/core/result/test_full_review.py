@@ -42,6 +42,7 @@ def named(identification, name):
     return complex(found[f"{name}_alpha"].value, found[f"{name}_beta"].value), found[f"{name}_alpha"].applied
 
 
+@pytest.mark.accuracy
 def test_a_good_recording_is_told_nothing(good):
     assert told(good.samples) == ""
 
@@ -55,6 +56,7 @@ def test_swapped_phases_are_refused(good):
         fitted(replace(samples, i_abc=samples.i_abc[:, [1, 0, 2]]))
 
 
+@pytest.mark.accuracy
 def test_a_loss_of_voltage_is_located(good):
     u_abc = good.samples.u_abc.copy()
     u_abc[21_550:21_600] = 0.0
@@ -62,6 +64,7 @@ def test_a_loss_of_voltage_is_located(good):
     assert any(f"around 2.1{digit} s" in sentence for digit in (3, 4, 5, 6, 7, 8))
 
 
+@pytest.mark.accuracy
 def test_a_constant_voltage_is_no_offset_of_the_currents(good):
     """The flux would show that of the currents; both are taken out, so that the simulated current stays right."""
     offset = np.array([0.5, -0.2, -0.3])
@@ -78,6 +81,7 @@ def test_a_constant_voltage_is_no_offset_of_the_currents(good):
     assert any("This is large: check the sensor." in warning for warning in of_currents.report.warnings)
 
 
+@pytest.mark.accuracy
 def test_unequal_gains_of_the_voltages_are_no_mismatch_of_the_currents(good):
     gained = fitted(replace(good.samples, u_abc=good.samples.u_abc * [1.01, 1.0, 1.0]))
     assert not named(gained, "current_gain_mismatch")[1]
@@ -86,6 +90,7 @@ def test_unequal_gains_of_the_voltages_are_no_mismatch_of_the_currents(good):
     assert found.value == pytest.approx(0.01 / 3, rel=0.1)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("signal", ["u_abc", "i_abc"])
 def test_one_wrong_gain_leaves_that_of_all_phases_open(good, signal):
     """The mean gain is off by a third of it, which no signal shows; the errors of R and of the flux hold it."""
@@ -112,6 +117,7 @@ def delay_of(identification):
     return entry
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(("logged", "late"), [(-3.0, 0), (0.5, 3)])
 def test_delays_of_several_samples_are_taken_out(logged, late):
     """More than the simulation's log can be late: the record is moved."""
@@ -122,6 +128,7 @@ def test_delays_of_several_samples_are_taken_out(logged, late):
     assert max(score(found, simulation.truth)) < 1e-3
 
 
+@pytest.mark.accuracy
 def test_a_decimated_log_is_recognized_by_its_delay():
     """Where the checks before the fit cannot tell: at 2.5 kHz, 5 degrees per sample."""
     samples = simulate(speeds=(520.0,)).samples
@@ -131,6 +138,7 @@ def test_a_decimated_log_is_recognized_by_its_delay():
     assert "n-th sample" not in told(samples)
 
 
+@pytest.mark.accuracy
 def test_a_delay_beyond_what_can_be_taken_out_is_told(good):
     found = fitted(logged_late(good.samples.part(0, 20_000), 7))
     assert delay_of(found).doubtful
@@ -161,6 +169,7 @@ def test_only_exact_coincidences_confound_orders():
     assert distinct_orders((6, 12, 18, 24), 2 * np.pi / 24) == (6, 12)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(("phase", "gain"), [(1, 1.03), (2, 0.98)])
 def test_a_voltage_of_the_wrong_size_is_named_with_its_phase(good, phase, gain):
     """A gain of one phase implies a common part, which no data show: the map is off by it, and the user is told."""

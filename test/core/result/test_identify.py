@@ -116,6 +116,7 @@ def test_accumulating_within_a_known_disc_needs_no_look_at_the_data_first(clean)
     assert live.report.warnings == ()
 
 
+@pytest.mark.accuracy
 def test_deviations_cover_the_scatter_of_repeated_experiments():
     """1-sigma values against the spread over seeds.
 

@@ -133,6 +133,7 @@ def wrong(samples: Samples, gain: float) -> Samples:
     return replace(samples, u_abc=samples.u_abc / gain)
 
 
+@pytest.mark.accuracy
 def test_a_fit_reports_mechanics_saves_them_and_closes_the_gain(swing, tmp_path):
     samples = wrong(replace(swing.samples, truth=None), 1.02)
     settings = FitSettings(pole_pairs=swing.machine.pole_pairs, inertia=INERTIA, search_orders=False)

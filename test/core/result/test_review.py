@@ -79,6 +79,7 @@ def test_wrong_signs_and_orders_are_refused(good):
             identify([samples], JOINT)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("settings", [FitSettings("psm"), JOINT, FULL], ids=lambda settings: settings.method)
 def test_a_map_that_explains_too_little_is_refused_with_the_likeliest_cause(good, settings, monkeypatch):
     rng, part = np.random.default_rng(0), good.part(0, 10_000)
@@ -217,6 +218,7 @@ def test_a_map_without_valid_inductances_over_much_of_the_disc_is_refused(plain,
     assert ("diverges" in str(error.value)) == diverges
 
 
+@pytest.mark.accuracy
 def test_an_angle_far_off_is_refused_where_symmetry_shows_it(plain):
     """30 or 89 degrees would give a map that is wrong by 25 to 77 %; a half turn only changes its sign."""
     for degrees in (30.0, 89.0):

@@ -78,6 +78,7 @@ def test_one_speed_gives_all_friction_at_once(flux_map):
     assert found.cogging == ()
 
 
+@pytest.mark.accuracy
 def test_standard_errors_cover_the_truth(flux_map):
     """With slow noise, as of a torque sensor that drifts, whose neighbouring samples are far from independent."""
     (piece,) = measured([209.0], seconds=2.0)
@@ -131,6 +132,7 @@ def simulated() -> Samples:
     return simulate("ipm", 5.0, settings=settings)
 
 
+@pytest.mark.accuracy
 def test_a_common_gain_that_only_the_torque_can_show(simulated, tmp_path):
     result = drive_id.fit(simulated, output=tmp_path / "result")
     torque = result.drive.torque

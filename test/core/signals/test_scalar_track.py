@@ -49,6 +49,7 @@ def oracle(stamp, values, period, wanted):
     return np.array(found)
 
 
+@pytest.mark.slow  # the oracle joins thousands of cuts row by row
 @settings(max_examples=60, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(st.data())
 def test_any_cut_of_the_streams_gives_the_oracle(data):

@@ -134,6 +134,7 @@ def test_iron_loss_and_a_delay_of_the_voltages_are_found():
     assert found.resistance == pytest.approx(drive.resistance, rel=0.03)
 
 
+@pytest.mark.accuracy
 def test_two_speeds_tell_a_delay_from_the_fluxes_and_one_does_not():
     drive, rng = machine("spm"), np.random.default_rng(6)
     i_dq = disc_points(rng, drive.i_max, 50)

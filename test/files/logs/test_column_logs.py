@@ -311,6 +311,7 @@ def test_a_sparse_log_is_refused_by_its_size(tmp_path, columns):
         read_recording(tmp_path / "log.h5", mapped("log.h5")[1])
 
 
+@pytest.mark.slow  # a log of the largest size is packed
 def test_a_packed_log_is_refused_by_its_size(tmp_path):
     path = tmp_path / "log.mat"
     savemat(path, {"x": np.zeros(1 << 27, np.int8), "y": np.zeros(1 << 28, np.int8)}, do_compression=True)

@@ -409,6 +409,7 @@ print(len(seen))
 """
 
 
+@pytest.mark.process
 def test_a_kill_leaves_the_old_or_the_new(written, fitted, tmp_path):
     """Of two fits that write into one folder, killed at random moments: 200 kills."""
     written.rename(tmp_path / "one")

@@ -57,6 +57,7 @@ def try_to_read(path: Path, *, checked: bool) -> None:
         assert_equal_samples(recording.samples, SAMPLES)
 
 
+@pytest.mark.slow  # hundreds of damaged files
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
 def test_damaged_mcap(tmp_path, compression):
     write_recording(tmp_path / "bag", SAMPLES, make_truth(), compression=compression, block_size=20, chunk_size=1000)
@@ -80,6 +81,7 @@ def copied(tmp_path: Path, storage: StoragePlugin) -> Path:
     return next(path for path in (tmp_path / "copy").iterdir() if path.suffix in (".mcap", ".db3"))
 
 
+@pytest.mark.slow  # hundreds of damaged files
 @pytest.mark.parametrize("storage", list(StoragePlugin))
 def test_damaged_files_without_checksums(tmp_path, storage):
     """Without checksums nobody can tell a changed value; but nothing else than our errors may come out."""

@@ -274,6 +274,7 @@ def test_settings_of_the_solution_keep_the_samples(samples):
     assert live.configure(replace(full, temperatures=(20.0,)))
 
 
+@pytest.mark.accuracy
 def test_live_samples_are_the_first_recording_of_the_conditions(samples):
     warm = LiveEvidence(replace(SETTINGS, method="full", harmonic_orders=(), temperatures=(100.0,)))
     cold = LiveEvidence(replace(SETTINGS, method="full", harmonic_orders=()))

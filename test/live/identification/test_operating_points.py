@@ -47,6 +47,7 @@ def played(rate, seconds, size, shift=0.0, every=1):
     return found
 
 
+@pytest.mark.slow  # the slow oracle
 @pytest.mark.parametrize(("size", "every"), [(1, 50), (7, 3), (100, 1), (1000, 1), (5000, 1)])
 @pytest.mark.parametrize("shift", [0.0, 0.4 * PERIOD])
 def test_each_point_is_that_of_its_stamp(size, every, shift):

@@ -66,6 +66,7 @@ def full(samples):
     return first, of_snapshot(live.snapshot(), None), of_snapshot(live.snapshot(), first.conclusion)
 
 
+@pytest.mark.accuracy
 def test_a_fit_that_takes_a_selection_over_is_the_whole_fit_of_all_samples(full):
     first, anew, again = full
     sigma = np.stack([anew.drive.flux_map.sigma_d, anew.drive.flux_map.sigma_q])

@@ -14,7 +14,7 @@ from scipy import linalg
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import EFFECT_COLUMNS, FullModel
-from drive_id.core.full.windows import MEASURED, WindowCutter, Windows, interval
+from drive_id.core.full.windows import MEASURED, WindowCutter, Windows, interval, kept_of
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.core.numerics.threads import MOST_THREADS, in_threads, one_blas_thread
@@ -25,7 +25,7 @@ FOLDS = 5
 SEGMENT = 0.25
 """Duration of data that go to the same fold, s."""
 MOST_KEPT = 24_000
-"""Number of stored windows, in whole segments evenly over time, for the analysis of residuals."""
+"""Number of stored windows, in whole segments all over the time, for the analysis of residuals."""
 
 _DUE = 16 * FOLDS
 """Segments collected before their products are formed: with more windows, neighbours are closer, and folds are formed
@@ -309,7 +309,7 @@ class WindowSums:
 
     def _next_start(self) -> int:
         """Return the segment in which the next recording begins, the same for merging and adding."""
-        return -(-(self._last + 1) // self._every) * self._every
+        return self._last + 1
 
     def _own(self, fold: int) -> FloatArray:
         """Return the triangle of a fold that no copy shares."""
@@ -349,7 +349,7 @@ class WindowSums:
         self._counts[fold] += whole.weights.sum()
         self.windows += len(whole)
         self._last = self._segment
-        if self._segment % self._every == 0:
+        if kept_of(np.array(self._segment), self._every):
             short = windows.part(windows.short)
             for known, new in ((self._kept, whole), (self._short, short)):
                 known[self._segment] = Windows.joined([known[self._segment], new] if self._segment in known else [new])
@@ -388,9 +388,9 @@ class WindowSums:
     def _thin(self) -> None:
         while len(self._kept) > 1 and sum(map(len, self._kept.values())) > MOST_KEPT:
             self._every *= 2
-            for known in (self._kept, self._short):
-                for number in [number for number in known if number % self._every]:
-                    del known[number]
+            numbers = np.array(sorted(self._kept))  # those of a merged recording were kept by other numbers
+            for number in numbers[~kept_of(np.arange(len(numbers)), 2)].tolist():
+                del self._kept[number], self._short[number]
         self._cutter.short_every = self._every  # those of other segments would be dropped
 
 

@@ -203,7 +203,8 @@ class WindowCutter:
         Of the inverter.
     short : float, optional
         Cut short windows as well, from the same beginnings: those without a zero crossing of a phase current, those
-        at small current, and a quarter of the others. They begin in every :attr:`short_every`-th interval of so many s.
+        at small current, and a quarter of the others. They begin in one of :attr:`short_every` intervals of so many s,
+        see :func:`kept_of`.
     """
 
     def __init__(self, shapes: CapacitiveShapes, short: float | None = None) -> None:
@@ -326,7 +327,7 @@ class WindowCutter:
             begin_used, end_used = begin_used[moving], end_used[moving]
             whole, sums = len(begin_used), _Sums.over(stretch, self._period, self._shapes.coarse)
             if self._short is not None:
-                wanted = interval(self._time + self._period * begin_used, self._short) % self.short_every == 0
+                wanted = kept_of(interval(self._time + self._period * begin_used, self._short), self.short_every)
                 begin_used, end_used = self._with_short(stretch, sums, begin_used, end_used, wanted)
             yield self._windows(stretch, sums, begin_used, end_used, np.arange(len(begin_used)) >= whole)
         self._number += count
@@ -562,6 +563,15 @@ def _integrate(
 def interval(time: FloatArray, length: float) -> IntArray:
     """Return the number (N,) of the interval of ``length`` seconds of each time (N,), s."""
     return np.asarray((time + _ROUNDING) / length).astype(np.int64)
+
+
+def kept_of(number: IntArray, every: int) -> BoolArray:
+    """Tell (N,) which of the intervals of these numbers (N,) are kept where one of ``every`` is, as if by lot.
+
+    At even distances, what varies with that period looks constant, and so it does at multiples of the golden section.
+    The fractions of its products with squares have no period (Weyl 1916). What is kept of more is kept of fewer, too.
+    """
+    return np.asarray(np.square(number, dtype=np.float64) * _GOLDEN % 1.0 < 1.0 / every)
 
 
 def _summed(steps: FloatArray | ComplexArray) -> ComplexArray:

@@ -11,6 +11,7 @@ from synthetic import record as record_of
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full import window_sums
 from drive_id.core.full.calibration import Calibration, corrected, rotated
 from drive_id.core.full.fit import fit_full, sigma
 from drive_id.core.full.model import ModelSpec, delay_shares
@@ -266,3 +267,18 @@ def test_the_drop_scales_with_the_dc_link():
     high = record(drop=lambda i: 1.5 * even_drop(i), duration=3.0, noise=0.3, speed=-260.0)
     found = identify([low, high], replace(FULL, u_dc=(400.0, 600.0)))
     np.testing.assert_allclose(found.inverter_voltage[-20:], 4.0, rtol=0.02)
+
+
+def disturbed(samples, share):
+    """Return samples whose inverter gives more than the commanded voltage by a share (N,)."""
+    return replace(samples, u_abc=samples.u_abc / (1 + share[:, None]))
+
+
+def test_a_variation_in_step_with_the_segments_is_seen_whole(samples, monkeypatch):
+    """Every second segment of 0.25 s has the positive half of its waves, from which its mean cannot be told."""
+    monkeypatch.setattr(window_sums, "MOST_KEPT", 3000)
+    wave = np.sin(2 * np.pi * 2.0 * 1e-4 * np.arange(len(samples)))
+    found = fitted(disturbed(samples, 0.01 * wave), replace(FULL, maps="reciprocal"))
+    assert (found.spec.effects, found.spec.delay) == (("link_ripple",), 0.0)
+    ripple = found.solution.estimate[found.model.effect("link_ripple")][:2]
+    assert np.hypot(*ripple) == pytest.approx(0.01, rel=0.05)

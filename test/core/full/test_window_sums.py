@@ -15,7 +15,7 @@ from drive_id.core.full import window_sums
 from drive_id.core.full.model import CONSTANT, EFFECT_COLUMNS, MAGNET, SHIFT, VOLTAGE, FullModel, ModelSpec
 from drive_id.core.full.solver import Solver
 from drive_id.core.full.window_sums import WindowSums
-from drive_id.core.full.windows import WindowCutter, Windows
+from drive_id.core.full.windows import WindowCutter, Windows, kept_of
 from drive_id.core.numerics.normal_equations import triangle_of
 from drive_id.core.numerics.threads import interruptible
 from drive_id.types import Samples
@@ -307,6 +307,18 @@ def test_few_windows_are_kept_of_a_long_recording(model, samples, monkeypatch):
     assert sum(len(kept) for kept in information.kept()) <= 700
     times = [kept.time[0] for kept in information.kept()]
     assert max(times) > 0.7
+
+
+@pytest.mark.parametrize("every", [2, 4, 8])
+def test_what_is_kept_of_the_segments_is_not_in_step_with_any_period(every):
+    """The mean of a wave over the kept segments is that over a lot as large, whatever its frequency."""
+    numbers = np.arange(1000)
+    kept, some = numbers[kept_of(numbers, every)], numbers[kept_of(numbers, 2 * every)]
+    assert np.isin(some, kept).all()
+    assert len(kept) == pytest.approx(1000 / every, rel=0.1)
+    assert np.bincount(kept % window_sums.FOLDS).min() > 0.7 * len(kept) / window_sums.FOLDS
+    turns = np.linspace(2e-3, 0.5, 2000)  # per segment
+    assert np.abs(np.exp(2j * np.pi * np.outer(turns, kept)).mean(axis=1)).max() < 4 / np.sqrt(len(kept))
 
 
 def test_windows_beyond_the_range_are_counted_and_left_out(samples):

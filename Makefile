@@ -34,9 +34,12 @@ BASES := --build-base build/$(DISTRO) --install-base install/$(DISTRO)
 
 # What a test is long for (pyproject.toml), and which of them the second command of the README leaves out.
 LONG := accuracy or browser or process or slow
+# Tests that need no fit, node, process or browser.
+QUICK := $(addprefix test/core/,accumulation experiment maps numerics paper signals test_frames.py) test/files test/web \
+         $(patsubst %,test/test_%.py,changelog config imports message_texts messages quantity settings suite types)
 PYTEST := DRIVE_ID_REQUIRE_ROS=1 PYTHONDONTWRITEBYTECODE= python -m pytest
 
-.PHONY: help setup demo check test test-all test-rest bench population safety fuzz endure lint ament docs coverage mutation package colcon clean
+.PHONY: help setup demo check quick test test-all test-rest bench population safety fuzz endure lint ament docs coverage mutation package colcon clean
 
 help: ## list these targets
 	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3]"
@@ -50,8 +53,11 @@ setup: ## make or update the environment (.venv, or .venv-DISTRO): ROS 2, depend
 demo: setup ## simulate a drive, identify it, and leave the results in out/demo: make demo ARGS=--free-shaft
 	@$(RUN) bash examples/demo.sh out/demo $(ARGS)
 
-check: lint ## before each commit: lint, and the tests that need no fit, node, process or browser
-	@$(RUN) $(PYTEST) -q -n $(JOBS) --dist loadscope -m "not ($(LONG))" $(CHECKED) $(ARGS)
+check: setup ## before each commit: lint, and the tests that need no fit, node, process or browser
+	@$(MAKE) --no-print-directory --output-sync=target -j2 lint quick
+
+quick: setup
+	@$(RUN) $(PYTEST) -q -n $$(nproc) --dist loadscope -m "not ($(LONG))" $(QUICK) $(ARGS)
 
 test: setup ## every module, command, node, page and format once (JOBS=0: in one process): make test ARGS="-k bag"
 	@$(RUN) $(PYTEST) -n $(JOBS) --dist loadscope -m "not ($(LONG)) or essential" $(ARGS)
@@ -77,13 +83,12 @@ fuzz: setup ## try damaged and hostile inputs for a minute: make fuzz ARGS="--se
 endure: setup ## try power cuts, a long stream, many requests and kills: make endure ARGS="--only kills --rounds 30"
 	@$(RUN) python benchmarks/endurance.py $(ARGS)
 
-lint: setup ## check style, types (also of the pages' Python) and the direction of imports
+lint: setup ## check style and types, also of the pages' Python
 	@$(RUN) ruff check
 	@$(RUN) ruff format --check
 	@$(RUN) mypy
 	@$(RUN) python tools/snippets.py out/snippets
 	@$(RUN) mypy out/snippets
-	@$(RUN) python -m pytest -q test/test_imports.py
 
 ament: setup ## run the linters of ROS 2 from the Python package index
 	@test -d out/ament || $(RUN) python -m pip install --quiet --disable-pip-version-check --target out/ament \

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from store import stored
 
 from drive_id.bench.drive import simulate
-from drive_id.bench.machines import machine_map
+from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
@@ -53,6 +54,23 @@ def linear_machine():
     axis = np.linspace(-360.0, 360.0, 13)
     i_d, i_q = np.meshgrid(axis, axis, indexing="ij")
     return MachineMap("linear", axis, axis, 0.06 + 1.5e-4 * i_d, 2.5e-4 * i_q, 1e-2, 4, 300.0, 400.0)
+
+
+def fit_of(name):
+    """Return what the default method finds of a shipped machine, and its NRMSE in percent."""
+    return errors(run_experiment(machine_map(name), replace(NOISY, current_noise=1e-3), seconds=3.0))
+
+
+@pytest.mark.essential
+@pytest.mark.parametrize("name", MACHINES)
+def test_one_drive_of_each_family(name):
+    found, full_errors = stored(fit_of, name)
+    assert full_errors.max() < 0.1
+    truth = machine_map(name)
+    assert found.resistance == pytest.approx(truth.resistance, abs=3 * found.sigma_resistance)
+    assert found.resistance == pytest.approx(truth.resistance, rel=0.02)
+    assert [harmonic.order for harmonic in found.harmonics] == [6, 12]
+    assert found.report.warnings == ()
 
 
 def test_with_harmonics_and_an_inverter_full_is_twenty_times_better_than_joint():

@@ -14,6 +14,8 @@ from browser import check_quiet, driven, wait_for
 from drive_id.messages import Message
 from drive_id.reporting.page.report import report_files
 
+pytestmark = pytest.mark.browser
+
 WARNING = "A warning with <b>markup</b> & an ampersand."
 STATE = """
 const traces = document.getElementById(`chart-${arguments[0]}`).data;

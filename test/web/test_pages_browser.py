@@ -19,6 +19,8 @@ from drive_id.live.live_view import LiveView
 from drive_id.web.archive import Archive
 from drive_id.web.page import archive_page, write_page
 
+pytestmark = pytest.mark.browser
+
 CELLS = "return [...document.querySelectorAll('#body tr')].map((row) => row.cells[arguments[0]].textContent)"
 POINTS = """
 const told = (circle) => [circle.textContent, circle.cy.baseVal.value];

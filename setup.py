@@ -117,6 +117,7 @@ setup(
             "hypothesis>=6.98",
             "jsonschema>=4.18",
             "pytest>=7.4",
+            "pytest-timeout>=2.1",
             "pytest-xdist>=3.5",
             "selenium>=4.16",
             *CONTAINERS,

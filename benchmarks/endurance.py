@@ -6,10 +6,11 @@
     python benchmarks/endurance.py --only live --minutes 62
     python benchmarks/endurance.py --only requests --requests 1000
     python benchmarks/endurance.py --only kills --rounds 30
+    python benchmarks/endurance.py --only interrupts --rounds 300     of fits with several workers
 
-The seed determines states, requests and kills; the timing of threads and processes differs from run to run. The exit
-code is 1 if there is a finding. Modules: power_cuts, soak, live_watch, node_requests,
-node_kills.
+The seed determines states, requests, kills and interrupts; the timing of threads and processes differs from run to
+run. The exit code is 1 if there is a finding. Modules: power_cuts, soak, live_watch, node_requests, node_kills,
+interrupts.
 """
 
 from __future__ import annotations
@@ -106,12 +107,25 @@ def kills(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     yield from result.findings
 
 
+def interrupts(options: argparse.Namespace, folder: Path) -> Iterator[str]:
+    """Test work on further processes, whose results are large; yield findings."""
+    import interrupts as interrupting  # noqa: PLC0415  # a part imports what it needs
+
+    del folder
+    tally = interrupting.rounds(options.rounds, options.seed)
+    _row("what happens", "rounds", "longest time to the end", head=True)
+    for kind, count in tally.rounds.items():
+        _row(kind, str(count), f"{tally.longest[kind]:.1f} s")
+    yield from tally.findings
+
+
 PARTS: dict[str, Callable[[argparse.Namespace, Path], Iterator[str]]] = {
     "crash": crash,
     "soak": soak,
     "live": live,
     "requests": requests,
     "kills": kills,
+    "interrupts": interrupts,
 }
 
 
@@ -124,9 +138,7 @@ def _row(*cells: str, head: bool = False) -> None:
 def main() -> None:
     """Run the requested parts."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument(
-        "--only", default=",".join(PARTS), help="parts to run, separated by commas: crash,soak,live,requests,kills"
-    )
+    parser.add_argument("--only", default=",".join(PARTS), help=f"parts, separated by commas: {','.join(PARTS)}")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--states", type=int, default=10, help="disk states per kind of recording")
     parser.add_argument(
@@ -139,7 +151,7 @@ def main() -> None:
     )
     parser.add_argument("--method", default="full", help="method of the live identification")
     parser.add_argument("--requests", type=int, default=50)
-    parser.add_argument("--rounds", type=int, default=3, help="rounds of kills")
+    parser.add_argument("--rounds", type=int, default=3, help="rounds of kills and of interrupts")
     options = parser.parse_args()
     wanted = options.only.split(",")
     if unknown := [name for name in wanted if name not in PARTS]:

@@ -19,6 +19,7 @@ import argparse
 import json
 import multiprocessing
 import os
+import queue
 import random
 import re
 import resource
@@ -294,12 +295,20 @@ def fuzz(
     context = multiprocessing.get_context("spawn")
     results: Any = context.Queue()
     end = time.time() + seconds
-    workers = [context.Process(target=_work, args=(corpus, kinds, seed + k, jobs, end, results)) for k in range(jobs)]
+    workers = [
+        context.Process(target=_work, args=(corpus, kinds, seed + k, jobs, end, results), daemon=True)
+        for k in range(jobs)
+    ]
     for worker in workers:
         worker.start()
     left = jobs
     while left:
-        result = results.get()
+        try:
+            result = results.get(timeout=1.0)
+        except queue.Empty:
+            if any(worker.exitcode for worker in workers):
+                raise SystemExit("A process that tries inputs has died: use fewer --jobs.") from None
+            continue
         if result is None:
             left -= 1
         else:

@@ -199,7 +199,7 @@ class Worker:
         if self.pipe.poll():
             try:
                 row: Row = self.pipe.recv()
-            except EOFError:
+            except (EOFError, OSError):
                 self.process.join()
                 return self._lost(seed, f"the process ended with code {self.process.exitcode}")
             return row

@@ -42,6 +42,31 @@ def test_the_command():
     assert ran.stdout.endswith("\n0 findings\n")
 
 
+def test_no_worker_hangs_or_is_left():
+    import interrupts
+
+    tally = interrupts.rounds(len(interrupts.KINDS), seed=1)
+    assert tally.findings == []
+
+
+def test_a_hang_and_what_is_left_are_found(monkeypatch, tmp_path):
+    import interrupts
+
+    (tmp_path / "interrupts.py").write_text(
+        "import subprocess, sys, time\n"
+        "subprocess.Popen(['sleep', '3'], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)\n"
+        "print('begun', flush=True)\n"
+        "time.sleep(60 if sys.argv[1] == 'all good' else 0)\n"
+    )
+    monkeypatch.setattr(interrupts, "__file__", str(tmp_path / "interrupts.py"))
+    monkeypatch.setattr(interrupts, "BOUND", 0.5)
+    monkeypatch.setattr(interrupts, "_SHARED", tmp_path)
+    found = interrupts.rounds(2, seed=1).findings
+    assert [text.partition(": ")[2].split(":")[0] for text in found] == [
+        "it hangs", "exit code -9", "exit code 0", "processes are left",
+    ]  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
     """A log of an imaginary recorder that syncs nothing but its file, and the messages."""

@@ -5,9 +5,7 @@ Kernels in the cache are not compiled again. Without this step, each kernel is c
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
@@ -17,6 +15,7 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core.methods.full import FullMethod  # noqa: F401  # registers its kernels
 from drive_id.core.numerics.compiled import KERNELS
 from drive_id.fitting.fit import fit_bags  # noqa: F401  # likewise
+from drive_id.fitting.processes import processes
 
 _FIRST = ("drive_id.core.paper", "drive_id.core.numerics", "drive_id.core.maps", "drive_id.core.full")
 """Modules whose kernels take about half of the compile time of a fit."""
@@ -34,8 +33,8 @@ def compile_part(name: str) -> None:
 
 def main() -> None:
     """Compile all parts, the longest ones first."""
-    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as pool:
-        list(pool.map(compile_part, ("drive", "first half", "second half")))
+    with processes(os.cpu_count() or 1) as executor:
+        list(executor.map(compile_part, ("drive", "first half", "second half")))
 
 
 if __name__ == "__main__":

@@ -42,6 +42,7 @@ SHOWN = ("report.html", "report.pdf", "flux_map.png", "diagnostics.png", "identi
 """Files of a result folder that are served; nothing else of the disk is."""
 _MOST_POINTS = 20_000  # operating points that a page holds: 400 s at the usual rate of 50 Hz
 _RESTART = 2.0  # s between the end of the feed and its next start
+_PATIENCE = 5.0  # s; the feed ends within 1 s, on a busy machine too
 _LONGEST_LINE = 1 << 22  # bytes
 _HEADERS = {"Cache-Control": "no-store", "X-Content-Type-Options": "nosniff", "Referrer-Policy": "no-referrer"}
 _LOG_APART = {"RCUTILS_LOGGING_USE_STDOUT": "0"}  # standard output is for the lines
@@ -95,11 +96,20 @@ class Feed:
                 while line := await process.stdout.readline():
                     self.take({"feed": "", **json.loads(line)})
             finally:
-                with contextlib.suppress(ProcessLookupError):
-                    process.terminate()
-                code = await process.wait()
+                code = await _ended(process)
             self.take({"feed": f"The process that listens to ROS ended with exit code {code}; it is started again."})
             await asyncio.sleep(_RESTART)
+
+
+async def _ended(process: asyncio.subprocess.Process) -> int:
+    """End a process and return its exit code; one whose output nobody takes any more may wait for that for ever."""
+    with contextlib.suppress(ProcessLookupError):
+        process.terminate()
+    try:
+        return await asyncio.wait_for(process.wait(), _PATIENCE)
+    except asyncio.TimeoutError:
+        process.kill()
+        return await process.wait()
 
 
 class TokenWall:

@@ -9,6 +9,8 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,7 +25,7 @@ from drive_id.errors import ConfigurationError, DriveIdError, InformationError, 
 from drive_id.files.results.information import read_information, write_information
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import accumulate_bags, fit_bags
-from drive_id.fitting.processes import in_processes
+from drive_id.fitting.processes import in_order, in_processes
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources, accumulate_sources, pairwise
 from drive_id.messages import Message
@@ -260,7 +262,30 @@ def die(number):
     return number
 
 
+<<<<<<< HEAD
 @pytest.mark.process
+=======
+def fail(number):
+    raise ArithmeticError(number)
+
+
+def test_an_error_of_the_work_is_raised_with_its_place():
+    with pytest.raises(ArithmeticError, match="5") as caught:
+        list(in_processes(fail, [5], 2))
+    assert "in fail" in str(caught.value.__cause__)
+    with pytest.raises(TypeError, match="pickle"):
+        list(in_processes(open, [os.devnull], 2))  # its result cannot be sent
+    assert not multiprocessing.active_children()
+
+
+def test_any_executor_computes_in_order():
+    with ThreadPoolExecutor(3) as executor:
+        found = in_order(abs, (-n for n in range(20)), executor, ahead=5)
+        assert [next(found) for _ in range(3)] == [0, 1, 2]
+        assert [*found] == [*range(3, 20)]
+
+
+>>>>>>> b93da295 (End the workers of a fit at any time: the rest of a cut result was awaited for ever)
 def test_a_process_that_dies_is_told():
     with pytest.raises(WorkerError, match="has died, probably for lack of memory: use fewer --workers"):
         list(in_processes(die, range(8), 2))
@@ -274,6 +299,15 @@ def test_results_come_in_order_and_do_not_pile_up():
     assert len(taken) <= 3 + 4
     found.close()
     assert not multiprocessing.active_children()
+
+
+def children(process):
+    """Return the folders in /proc of the processes that any thread of a process has started."""
+    found = []
+    for task in Path(f"/proc/{process.pid}/task").iterdir():
+        with suppress(OSError):  # it has just ended
+            found += (task / "children").read_text().split()
+    return [Path("/proc") / pid for pid in found]
 
 
 def test_an_interrupt_leaves_neither_processes_nor_tracebacks(bags, tmp_path):
@@ -291,11 +325,10 @@ def test_an_interrupt_leaves_neither_processes_nor_tracebacks(bags, tmp_path):
     with subprocess.Popen(
         command, cwd=tmp_path, start_new_session=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
         until = time.monotonic() + 60
-        while len(children.read_text().split()) < 3 and time.monotonic() < until:  # two, and the resource tracker
+        while len(workers := children(process)) < 3 and time.monotonic() < until:  # two, and the resource tracker
             time.sleep(0.01)
-        workers = [Path("/proc") / pid for pid in children.read_text().split()]
+        assert len(workers) == 3
         os.killpg(process.pid, signal.SIGINT)
         _, said = process.communicate(timeout=60)
     assert process.returncode == 130

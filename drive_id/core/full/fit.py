@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -54,6 +55,8 @@ class Assessment:
     outlying: float
     outlying_share: float  # rms residual of that batch over the rms of the integrated voltages
     outlying_time: float  # time of that batch, gaps not counted, s
+    # mean square residual of the windows that are not kept over that of the kept ones, from which all else is judged
+    unseen: float
     jump: DelayJump | None = None  # where the delay of the voltages changes
 
 
@@ -224,9 +227,23 @@ def fit_full(
         outlying=float(energy.max() / max(np.median(energy), TINY)),
         outlying_share=float(np.sqrt(energy.max() / max(solver.total_voltage, TINY))),
         outlying_time=float(times[energy.argmax()]),
+        unseen=_unseen(sums, uncertain),
         jump=jump,
     )
     return FullFit(model=sums.model, solution=solution, selection=selection, assessment=assessment)
+
+
+def _unseen(sums: WindowSums, solution: FullSolution) -> float:
+    """Return the mean square residual of the windows that are not kept over that of the kept ones; 1 if all are."""
+    if not sums.thinned:
+        return 1.0
+    kept = sums.kept()
+    seen, rows = sum(map(partial(_squares, sums.model, solution.estimate), kept)), 2 * sum(map(len, kept))
+    return (solution.sum_of_squares - seen) / (solution.rows - rows) / max(seen / rows, TINY)
+
+
+def _squares(model: FullModel, estimate: FloatArray, windows: Windows) -> float:
+    return float(np.sum(model.residuals(windows, estimate) ** 2))
 
 
 def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> FloatArray:

@@ -10,7 +10,13 @@ import numpy as np
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import Calibration, rotated
-from drive_id.core.full.effect_report import OUTLYING, effect_entries, misfit_warning, not_reciprocal_warning
+from drive_id.core.full.effect_report import (
+    OUTLYING,
+    effect_entries,
+    misfit_warning,
+    not_reciprocal_warning,
+    unseen_warning,
+)
 from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects import OF_RECORDINGS
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
@@ -318,8 +324,7 @@ def _on_map(
     locked = _locked(evidence)
     if locked:
         yield Message("locked_rotor", angle=_position(fit.selection.search.sums.kept())[0])
-    if misfit := misfit_warning(fit):
-        yield misfit
+    yield from filter(None, (misfit_warning(fit), unseen_warning(fit)))
     share = SHORT_ANGLE / WINDOW_ANGLE if fit.crossings > 1 else 1.0
     # Windows that end sooner do so because the current changes fast, which tells flux and voltage errors apart, too.
     turn, duration = fit.assessment.turn, fit.assessment.duration

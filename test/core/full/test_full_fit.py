@@ -13,10 +13,11 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import window_sums
 from drive_id.core.full.calibration import Calibration, corrected, rotated
+from drive_id.core.full.effect_report import unseen_warning
 from drive_id.core.full.fit import fit_full, sigma
 from drive_id.core.full.model import ModelSpec, delay_shares
 from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
-from drive_id.core.full.windows import SHIFTS
+from drive_id.core.full.windows import SHIFTS, kept_of
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.messages import Message
@@ -282,3 +283,16 @@ def test_a_variation_in_step_with_the_segments_is_seen_whole(samples, monkeypatc
     assert (found.spec.effects, found.spec.delay) == (("link_ripple",), 0.0)
     ripple = found.solution.estimate[found.model.effect("link_ripple")][:2]
     assert np.hypot(*ripple) == pytest.approx(0.01, rel=0.05)
+
+
+def test_what_happens_in_windows_left_out_of_the_selection_is_told(samples, monkeypatch):
+    monkeypatch.setattr(window_sums, "MOST_KEPT", 3000)
+    segment, unused = np.arange(len(samples)) // 2500, np.flatnonzero(~kept_of(np.arange(16), 2))
+    settings = replace(FULL, maps="reciprocal")
+    good, bad = (fitted(disturbed(samples, share * (segment == unused[4])), settings) for share in (0.0, 0.03))
+    assert unseen_warning(good) is None
+    assert 0.8 < good.assessment.unseen < 1.3
+    warning = unseen_warning(bad)
+    assert warning.values["ratio"] == pytest.approx(np.sqrt(bad.assessment.unseen))
+    assert warning.values["ratio"] > 2
+    assert warning.values["unused"] == pytest.approx(len(unused) / 16, abs=0.02)

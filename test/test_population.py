@@ -36,6 +36,7 @@ def population():
         yield population
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("number", BOUNDS)
 def test_a_part_of_the_population(population, number):
     one = replace(population.drive(SEED, number), seconds=4.0)
@@ -46,6 +47,7 @@ def test_a_part_of_the_population(population, number):
     assert population.judged({**one.labels(), "fits": {"full": fit}}, "full") == set()
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("number", [0, 2])
 def test_a_part_of_the_population_on_free_shafts(population, number):
     one = replace(population.drive(SEED, number), seconds=8.0)
@@ -56,6 +58,7 @@ def test_a_part_of_the_population_on_free_shafts(population, number):
     assert abs(fit["J"]) < 0.5
 
 
+@pytest.mark.accuracy
 @pytest.mark.usefixtures("population")
 @pytest.mark.parametrize("number", [37, 67])
 def test_a_planned_swing_keeps_below_the_trips(number):
@@ -100,6 +103,7 @@ def shape_is_measured(shape):
     return hasattr(shape, "origin")
 
 
+@pytest.mark.accuracy
 def test_measured_machines_are_reciprocal_as_labelled(population):
     drives = [population.drive(SEED, number) for number in range(4, 100, 8)]
     rng = np.random.default_rng(0)
@@ -176,6 +180,7 @@ def test_a_drive_that_takes_too_long_is_given_up(population):
     assert row["number"] == 10
 
 
+@pytest.mark.process
 def test_the_command_goes_on_where_it_was(population, tmp_path):
     def run(*options):
         command = [sys.executable, BENCHMARKS / "population.py", "--methods", "joint", "--seed", "1"]

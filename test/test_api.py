@@ -230,6 +230,7 @@ def test_short_words_for_a_result(result, saved):
     assert repr(drive_id.simulate("spm", 0.1)) == "<Samples: 1000 at 10 kHz, 0.1 s, with references, truth of spm>"
 
 
+@pytest.mark.slow  # pictures are drawn
 def test_a_result_is_drawn(result, saved):
     for found in (result, drive_id.load(saved)):
         assert isinstance(found.plot(), matplotlib.figure.Figure)
@@ -382,6 +383,7 @@ def test_what_cannot_be_simulated_is_said(result):
             drive_id.simulate(**arguments)
 
 
+@pytest.mark.accuracy
 def test_a_result_is_simulated_and_fitted_again(saved):
     """The machine of a result is the result: what is fitted on it agrees within 0.5 %."""
     loaded = drive_id.load(saved)

@@ -152,6 +152,7 @@ def test_the_ripple_is_that_of_the_co_energy(analysis, result):
     assert maps.ripple[0, 0] == pytest.approx(ripple.peak_to_peak(np.array(-12.0), np.array(25.0)))
 
 
+@pytest.mark.slow  # a whole analysis
 def test_settings_reach_the_tables(result):
     chosen = replace(SMALL, u_dc=(300.0, 540.0), i_max=20.0, speed=1500.0, temperature=100.0, modulation=0.9)
     found = drive_id.analyze(result, chosen)
@@ -167,6 +168,7 @@ def test_settings_reach_the_tables(result):
     assert "magnet was not identified" in text
 
 
+@pytest.mark.slow  # a whole analysis
 def test_points_beyond_the_data_are_marked_and_told(result):
     grid = result.flux_map.grid()
     known = replace(result.flux_map, inside=np.hypot(grid[..., 0], grid[..., 1]) <= 25.0)
@@ -196,6 +198,7 @@ def test_without_a_dc_link_all_that_needs_none_is_there(result, tmp_path):
     assert "rpm" not in repr(found).rpartition(",")[2]
 
 
+@pytest.mark.slow  # several analyses
 def test_what_is_missing_is_named_in_one_sentence(result, tmp_path):
     unknown = replace(result, provenance=replace(result.provenance, pole_pairs=None))
     with pytest.raises(ConfigurationError, match="--pole-pairs"):

@@ -41,6 +41,7 @@ def plane(machine, sign=1.0, count=601):
     return i_d[kept], i_q[kept]
 
 
+@pytest.mark.slow  # five machines, each against all currents of a grid
 def test_no_current_within_the_limits_gives_more_torque(known):
     model, machine, limits = known
     sign = -1.0 if machine.i_max > 100 else 1.0
@@ -69,6 +70,7 @@ def test_up_to_the_corner_speed_the_torque_is_that_of_mtpa(known):
     assert limits.names(found)[3] in ("both", "voltage")  # MTPV begins soon in some
 
 
+@pytest.mark.slow  # five machines, each against all currents of a grid
 def test_references_give_the_torque_with_the_least_current(known):
     model, machine, limits = known
     corner = corner_speed(model, limits)

@@ -62,6 +62,7 @@ def test_block_by_block_equals_the_whole_bit_for_bit():
     assert drive.time == pytest.approx(0.15)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("name", list(MACHINES))
 @pytest.mark.parametrize("rpm", [500.0, -500.0, 3000.0, -3000.0, 0.0])
 def test_controller_tracks(name, rpm):

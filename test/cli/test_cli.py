@@ -796,6 +796,7 @@ def test_a_plan_is_printed_and_written(run):
     assert max(written["/**/bench_simulator"]["ros__parameters"]["speeds"]) <= 800.0
 
 
+@pytest.mark.slow  # an experiment is planned
 @pytest.mark.usefixtures("coarse_plans")
 def test_a_plan_from_rough_data_as_json(run):
     data = {"i-max": 20, "pole-pairs": 3, "resistance": 0.35, "inductance-d": 2e-3, "inductance-q": 3e-3}

@@ -84,6 +84,7 @@ def test_it_is_compared_with_its_like_only(results):
     assert drive_id.compare(results["ipm"], results["ipm"]).torque is None
 
 
+@pytest.mark.accuracy
 def test_an_offset_of_the_speed_and_a_noisy_resolver_are_no_motion(recordings):
     samples = recordings["ipm"]
     rng = np.random.default_rng(5)

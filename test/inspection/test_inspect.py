@@ -487,6 +487,7 @@ def struct_array(records):
     return found
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("name", ["ControlDesk", "structure with time", "array"])
 def test_drafts_for_structs_of_measurement_tools(name, tmp_path, samples):
     table = columns(samples.part(0, 6000), id_ref=None, iq_ref=None, omega=None)

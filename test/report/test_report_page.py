@@ -119,6 +119,7 @@ def test_controls_have_names_and_tables_captions(page):
     assert page.all("html")[0].attributes["lang"] == "en"
 
 
+@pytest.mark.slow  # a report is drawn
 def test_the_twin_is_identification_json(fitted, page, tmp_path):
     fitted.save(tmp_path / "result", draw=False)
     stored = json.loads((tmp_path / "result" / "identification.json").read_text(encoding="utf-8"))
@@ -315,6 +316,7 @@ def test_fine_maps_are_thinned(fitted):
     assert len(page.source.encode()) < 5e6
 
 
+@pytest.mark.slow  # a report is drawn
 def test_the_answer_stands_first_with_its_names(fitted):
     named = replace(fitted.provenance.settings, serial="SN 7", operator="A. N. Other", notes="<cold>")
     page = page_of(replace(fitted, provenance=replace(fitted.provenance, settings=named)))

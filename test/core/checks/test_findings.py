@@ -125,7 +125,12 @@ READINGS = {
 
 
 @pytest.mark.parametrize(
-    ("case", "drive"), [(case, drive) for k, case in enumerate(READINGS) for drive in PAIRS[k % 3]]
+    ("case", "drive"),
+    [
+        pytest.param(case, drive, marks=[pytest.mark.slow] if drive == PAIRS[k % 3][1] else [])  # of two drives, one
+        for k, case in enumerate(READINGS)
+        for drive in PAIRS[k % 3]
+    ],
 )
 def test_signals_of_another_meaning(drives, case, drive):
     change, code, said = READINGS[case]

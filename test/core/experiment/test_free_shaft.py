@@ -118,6 +118,7 @@ class Cell:
 BAND = {"shaft_acceleration": 14_000.0, "shaft_speed_max": 1400 * ELECTRICAL}
 
 
+@pytest.mark.accuracy
 def test_a_swing_about_standstill_stays_in_its_band():
     cell = Cell(**BAND)
     report = cell.run()

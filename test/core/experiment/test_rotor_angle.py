@@ -39,6 +39,7 @@ def shaken(name, offset, believed, **settings):
     return own.step_block(np.stack([vector.real, vector.imag], axis=-1)).samples
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(("name", "offset"), [("ipm", 0.7), ("spm", -3.0), ("ipm", 3.1)])
 @pytest.mark.parametrize("friction", [None, 0.0])
 def test_the_angle_is_found_within_its_error(name, offset, friction):
@@ -49,6 +50,7 @@ def test_the_angle_is_found_within_its_error(name, offset, friction):
     assert (found.direction, found.turns_per_angle) == (1, 1)
 
 
+@pytest.mark.accuracy
 def test_a_controller_that_knows_neither_machine_nor_inverter_is_good_enough():
     """The rotor swings about the vector and takes the currents with it."""
     poor = {"current_bandwidth": 120.0, "controller_inductance": 0.7, "controller_flux": 0.9, "inverter": "tanh"}

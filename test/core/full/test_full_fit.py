@@ -98,6 +98,7 @@ def test_what_noise_takes_from_the_map_is_given_back():
     assert np.linalg.norm(whole) < 0.8 * np.linalg.norm(diluted)
 
 
+@pytest.mark.accuracy
 def test_deviations_grow_with_the_noise(result):
     noisy = identify([record(drop=even_drop, duration=4.0, noise=3.0)], FULL)
     inside = result.flux_map.inside & noisy.flux_map.inside
@@ -129,6 +130,7 @@ def test_shares_shift_a_held_voltage(delay):
     assert shares.sum() == pytest.approx(delay)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("late", [1, -1])
 def test_voltages_recorded_beside_their_time_are_moved_back(samples, late):
     shifted = replace(samples, u_abc=np.roll(samples.u_abc, -late, axis=0))
@@ -188,6 +190,7 @@ def test_gain_mismatch_is_traced_back(samples):
     assert np.all(errors(faulty) < 2e-3)
 
 
+@pytest.mark.accuracy
 def test_each_phase_may_have_its_own_curve():
     settings = replace(FULL, per_phase_inverter=True)
     found = identify([record(drop=drop, duration=4.0, noise=0.3)], settings)
@@ -207,6 +210,7 @@ def test_a_map_that_folds_can_be_kept_from_it():
     assert (~kept).sum() < 0.1 * (~folded).sum()
 
 
+@pytest.mark.accuracy
 def test_a_passive_map_is_left_alone(samples):
     plain, enforced = (fitted(samples, replace(FULL, passive_maps=wish)) for wish in (False, True))
     np.testing.assert_array_equal(plain.solution.estimate, enforced.solution.estimate)
@@ -275,6 +279,7 @@ def disturbed(samples, share):
     return replace(samples, u_abc=samples.u_abc / (1 + share[:, None]))
 
 
+@pytest.mark.accuracy
 def test_a_variation_in_step_with_the_segments_is_seen_whole(samples, monkeypatch):
     """Every second segment of 0.25 s has the positive half of its waves, from which its mean cannot be told."""
     monkeypatch.setattr(window_sums, "MOST_KEPT", 3000)

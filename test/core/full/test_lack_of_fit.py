@@ -33,6 +33,7 @@ def fit(samples):
     return fit_full(evidence.windows.finished(), SETTINGS, evidence.turn, evidence.noise_variance)
 
 
+@pytest.mark.accuracy
 def test_noise_explains_the_residuals_of_a_drive_that_obeys_the_model(good):
     misfit = fit(good).assessment.misfit
     assert misfit.ratio == pytest.approx(1.0, abs=0.1)

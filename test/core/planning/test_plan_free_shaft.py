@@ -91,6 +91,7 @@ def test_a_current_controller_that_would_lose_the_currents_must_be_faster():
         plan_free_shaft(replace(SLOTLESS, inductance_d=5e-6, inductance_q=5e-6), 2e-4)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(("inductance", "magnet"), [(0.7, 0.85), (1.2, 1.1)])
 @pytest.mark.parametrize("machine", ["ipm", "spm", "pmsyrm"])
 def test_currents_follow_a_controller_of_poor_parameters_at_a_late_speed(machine, inductance, magnet):
@@ -110,6 +111,7 @@ def test_currents_follow_a_controller_of_poor_parameters_at_a_late_speed(machine
     assert distance < 0.25 * settings.i_max
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("machine", ["ipm", "spm", "pmsyrm"])
 def test_the_planned_swing_stays_below_the_trips_in_the_simulation(machine):
     settings = rough(machine)

@@ -18,6 +18,7 @@ def series(rng, memory, count=1600):
     return np.column_stack([3.0 * column + noise + 1.0, column, np.ones(count)])
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("memory", [0.0, 0.9, -0.5])
 def test_intervals_cover_the_truth(memory):
     rng = np.random.default_rng(5)

@@ -145,6 +145,7 @@ def test_a_delay_beyond_what_can_be_taken_out_is_told(good):
     assert any("at the limit of what can be corrected" in warning for warning in found.report.warnings)
 
 
+@pytest.mark.accuracy
 def test_a_slow_rotor_is_told():
     assert "while a window lasts" in told(simulate(speeds=(10.0,)).samples)
 

@@ -59,12 +59,14 @@ def test_a_large_swing_tells_inertia_and_both_frictions(swing):
     assert found.explained > 0.999
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(("frequency", "mean_speed", "tolerance"), [(20.0, 0.0, 1e-3), (60.0, 60.0, 5e-3)])
 def test_fast_swings_tell_the_inertia(frequency, mean_speed, tolerance):
     simulation = swung(swing=Swing(frequency=frequency, mean_speed=mean_speed))
     assert fitted(simulation).inertia == pytest.approx(INERTIA, rel=tolerance)
 
 
+@pytest.mark.accuracy
 def test_a_flywheel_that_never_reverses_has_one_friction_with_its_load():
     simulation = swung(10.0, 10 * INERTIA, Swing(speed_max=600.0, mean_speed=300.0), load_torque=1.0)
     later = simulation.samples.part(40_000, len(simulation.samples))
@@ -74,6 +76,7 @@ def test_a_flywheel_that_never_reverses_has_one_friction_with_its_load():
     assert found.friction == pytest.approx(1.27 + 1.0, rel=0.1)
 
 
+@pytest.mark.accuracy
 def test_the_load_is_not_told_by_the_run_up_of_a_flywheel():
     """Its first swings reverse, which is too little to tell a load from friction."""
     found = fitted(swung(10.0, 10 * INERTIA, Swing(speed_max=600.0, mean_speed=300.0)))
@@ -81,6 +84,7 @@ def test_the_load_is_not_told_by_the_run_up_of_a_flywheel():
     assert found.friction is None or abs(found.friction - 1.27) < 3 * found.sigma_friction
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("seed", [1, 2])
 def test_friction_that_changes_its_sign_slowly_is_not_taken_for_less(seed):
     """Within 0.1 rad/s of rest the simulated friction is less than Coulomb's, and the swing reaches 5 rad/s only."""

@@ -146,6 +146,7 @@ def test_nothing_and_too_much_are_refused(good):
         FitSettings("joint", splines_d=64, splines_q=64)
 
 
+@pytest.mark.slow  # a large model
 def test_large_models_keep_few_blocks(good):
     result = identify([good], FitSettings("joint", splines_d=20, splines_q=20))
     assert np.isfinite(result.sigma_resistance)
@@ -201,6 +202,7 @@ def test_what_no_machine_can_have_is_refused_by_full_and_told_by_joint(plain, mo
     assert "resistance is negative" in told(reversed_currents)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(
     ("share", "diverges", "refused"), [(0.3, False, True), (0.2, False, False), (0.2, True, True), (0.05, True, False)]
 )

@@ -50,6 +50,7 @@ def test_sixty_points_give_maps_resistance_and_drop(name, count, bound):
     assert abs(linear.psi_pm - zero) < max(0.02 * zero, 3 * linear.sigma_psi_pm)
 
 
+@pytest.mark.accuracy
 def test_a_handful_of_points_gives_parameters_whose_errors_hold():
     """Coverage of +-1.96 sigma over 100 logs of seven points, with a drop in every other log."""
     drive, hits = LinearDrive(), []
@@ -115,6 +116,7 @@ def test_an_inductance_without_its_current_is_unknown():
     assert np.isnan(found.flux_map.psi_dq(40.0, 45.0)[1])
 
 
+@pytest.mark.accuracy
 def test_iron_loss_and_a_delay_of_the_voltages_are_found():
     drive, rng = machine("spm"), np.random.default_rng(6)
     i_m, speed = disc_points(rng, drive.i_max, 50), some_speeds(rng, 50, 700.0)

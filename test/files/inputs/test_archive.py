@@ -63,6 +63,7 @@ def test_small_numbers_count_as_the_floats_they_become():
     assert len(read_arrays(saved(x=np.zeros(UNPACKED // 16, np.int8)))["x"]) == UNPACKED // 16
 
 
+@pytest.mark.slow  # contents of many sizes are packed
 def test_incompressible_content_of_any_size():
     rng = np.random.default_rng(1)
     x = rng.normal(size=UNPACKED // 8 + 1000)

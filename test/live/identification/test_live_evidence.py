@@ -106,6 +106,7 @@ def resting(monkeypatch, on, duration, period=2e-4):
     return record(duration=duration, noise=0.3, period=period)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("seconds", [4.0, 12.0])
 def test_the_mad_is_taken_over_the_trajectory_not_over_the_rest_behind_it(tmp_path, monkeypatch, seconds):
     """A stream that goes on for 20 s at rest, where every map looks good, against the bag of the trajectory.

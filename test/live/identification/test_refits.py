@@ -80,6 +80,7 @@ def test_a_fit_that_takes_a_selection_over_is_the_whole_fit_of_all_samples(full)
     assert (first.selected, anew.selected, again.selected) == (True, True, False)
 
 
+@pytest.mark.accuracy
 def test_taken_over_on_the_same_samples_it_is_the_same_fit(samples):
     live = fed(samples, len(samples), FULL)
     first = of_snapshot(live.snapshot(), None)

@@ -262,13 +262,11 @@ def die(number):
     return number
 
 
-<<<<<<< HEAD
-@pytest.mark.process
-=======
 def fail(number):
     raise ArithmeticError(number)
 
 
+@pytest.mark.process
 def test_an_error_of_the_work_is_raised_with_its_place():
     with pytest.raises(ArithmeticError, match="5") as caught:
         list(in_processes(fail, [5], 2))
@@ -285,7 +283,7 @@ def test_any_executor_computes_in_order():
         assert [*found] == [*range(3, 20)]
 
 
->>>>>>> b93da295 (End the workers of a fit at any time: the rest of a cut result was awaited for ever)
+@pytest.mark.process
 def test_a_process_that_dies_is_told():
     with pytest.raises(WorkerError, match="has died, probably for lack of memory: use fewer --workers"):
         list(in_processes(die, range(8), 2))

@@ -47,6 +47,7 @@ def test_every_experiment_has_all_methods(results):
     assert all(np.isfinite([row.nrmse_d, row.nrmse_q, row.resistance]).all() for row in results.rows)
 
 
+@pytest.mark.accuracy
 def test_with_an_inverter_joint_is_at_least_three_times_better(results):
     psm, joint, _ = results.select("simulation")
     assert 3 * joint.nrmse_d < psm.nrmse_d
@@ -58,6 +59,7 @@ def test_with_an_inverter_joint_is_at_least_three_times_better(results):
     assert abs(joint.resistance - joint.true_resistance) < 0.2 * abs(psm.resistance - psm.true_resistance)
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize("experiment", ["simulation", "bench"])
 def test_full_is_at_least_twenty_times_better_than_joint(results, experiment):
     _, joint, full = results.select(experiment)
@@ -67,12 +69,14 @@ def test_full_is_at_least_twenty_times_better_than_joint(results, experiment):
     assert 3 * full.mad_q < joint.mad_q
 
 
+@pytest.mark.accuracy
 def test_full_finds_the_resistance_and_the_height_of_the_curve(results):
     _, _, full = results.select("simulation")
     assert full.resistance == pytest.approx(full.true_resistance, rel=0.01)
     assert full.voltage_error == pytest.approx(4.0, rel=0.02)
 
 
+@pytest.mark.accuracy
 def test_at_the_bench_joint_is_better_than_psm(results):
     psm, joint, _ = results.select("bench")
     assert joint.nrmse_d < psm.nrmse_d
@@ -81,6 +85,7 @@ def test_at_the_bench_joint_is_better_than_psm(results):
     assert joint.mad_q < psm.mad_q
 
 
+@pytest.mark.accuracy
 @pytest.mark.parametrize(("experiment", "limit"), [("ideal", 1e-3), ("compensated", 2e-3)])
 def test_without_an_inverter_all_methods_agree(results, experiment, limit):
     psm, joint, full = results.select(experiment)
@@ -92,6 +97,7 @@ def test_without_an_inverter_all_methods_agree(results, experiment, limit):
     assert results.agreement["simulation"] > 10 * results.agreement[experiment]
 
 
+@pytest.mark.accuracy
 def test_tables_and_claims_show_the_rows(results):
     tables = results.tables()
     assert [len(table.rows) for table in tables] == [3, 3, 3]
@@ -106,6 +112,7 @@ def test_tables_and_claims_show_the_rows(results):
         assert claims[0].count(f"{method} ") >= 2
 
 
+@pytest.mark.accuracy
 def test_what_diverged_is_said_and_is_null(results):
     diverged = replace(results.rows[0], mad_d=float("nan"), mad_q=float("nan"))
     broken = replace(results, rows=(diverged, *results.rows[1:]))
@@ -114,6 +121,7 @@ def test_what_diverged_is_said_and_is_null(results):
     json.dumps(broken.tree(), allow_nan=False)
 
 
+@pytest.mark.accuracy
 def test_the_files(reproduction, results, tmp_path):
     reproduction.write_reproduction(tmp_path / "out", results)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["reproduction.json", "tables.txt"]

@@ -76,6 +76,7 @@ def test_fine_cells_are_used_where_they_are_needed(detailed, fine, monkeypatch):
     assert fine.solution.residual_rms < 0.7 * usual.solution.residual_rms
 
 
+@pytest.mark.accuracy
 def test_a_later_fit_keeps_the_cells(detailed, fine):
     again = fitted(detailed, EarlierFit.of(fine))
     assert again.model.resolution is fine.model.resolution

@@ -38,6 +38,7 @@ client=
 trap end EXIT
 trap 'exit 130' INT TERM
 
+patient=(lead_time:=3.0 watch_timeout:=10.0 clock_offset:=2.0) # for busy computers; keep the defaults on a bench
 if [ "$free_shaft" = --free-shaft ]; then
     echo "A simulated drive without load machine is identified: a first start finds the angle of its rotor, 2 rad off, then it"
     echo "swings its own shaft up to 1340 rpm. This takes about two minutes. Logs: $output/log."
@@ -45,8 +46,8 @@ if [ "$free_shaft" = --free-shaft ]; then
         "truth_file:='$output/truth.npz'"
     start recorder "data_directory:='$output'"
     start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=20.0 pole_pairs:=3 picture:=true
-    start trajectory_publisher i_max:=20.0 shaft_speed_max:=420.0 duration:=10.0 lead_time:=1.0 watch_timeout:=3.0
-    options=(--first-start --free-shaft)
+    start trajectory_publisher i_max:=20.0 shaft_speed_max:=420.0 duration:=10.0 "${patient[@]}"
+    options=(--first-start --free-shaft --drive bench_simulator)
     result=recording
 else
     echo "A simulated drive is identified: an interior-magnet machine of 300 A with rotor harmonics and an uncompensated"
@@ -54,7 +55,7 @@ else
     start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
     start recorder "data_directory:='$output'"
     start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 pole_pairs:=4 picture:=true
-    start trajectory_publisher i_max:=300.0 duration:=10.0 lead_time:=3.0 watch_timeout:=3.0 # for busy computers; keep the defaults on a bench
+    start trajectory_publisher i_max:=300.0 duration:=10.0 "${patient[@]}"
     options=(--compare)
     result=recording_full
 fi

@@ -90,6 +90,7 @@ def bag_pieces(
                 for piece, progress in pieces:
                     yield piece
                     tell(progress)
+            warnings += stream.remarks()
         end(BagFacts(truth, (*log.warnings, *warnings), log.checked))
 
 

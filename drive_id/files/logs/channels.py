@@ -75,7 +75,7 @@ class MdfLog(_StreamLog):
 
 
 class TdmsLog(_StreamLog):
-    """A TDMS file; waveforms have their own time, by which a group is divided if its channels begin at different ones."""
+    """A TDMS file; waveforms have their own time. A group is divided if its channels begin at different times."""
 
     kind = "tdms"
 

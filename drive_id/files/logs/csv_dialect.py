@@ -19,9 +19,8 @@ _DELIMITERS = ("\t", ";", ",", "|", WHITE)
 _HEAD = 1 << 16  # bytes that tell how a table is written
 _LAST = 50
 """Lines from which the number of columns is determined."""
-_NUMBER = re.compile(
-    r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?|∞)\s*", re.IGNORECASE
-)
+_NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?|∞)\s*", re.IGNORECASE)
+_UNIT = re.compile(r"[kmun]?[AVs]|%|rad|deg|°|rpm|min-1|1/min|N ?m|°?C|rad/s|Hz")
 _MOSTLY = 0.9  # share of rows with a number, from which on a column holds numbers
 _TWINCAT = "Name"
 """First cell of the names in exports of TwinCAT Scope, which stands above each column of times, too."""
@@ -43,6 +42,7 @@ class CsvDialect:
     groups: tuple[tuple[str, tuple[int, ...]], ...] = ()  # names of several groups of columns with times of their own
     blank: tuple[int, ...] = ()  # columns without a name and without values
     period: float | None = None  # s, where the file declares it and holds no time
+    units: tuple[str, ...] = ()  # of the columns, where a line below the names gives them; empty for unknown ones
     ticks: tuple[int, ...] = ()  # columns of times in 100 ns since 1601
 
 
@@ -116,7 +116,17 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     step = next((row for row in rows[:header] if row and row[0].strip() == _STEP), ())
     period = _float(next(iter(step[1:]), "")) if 0 in blank else None
     unnamed = tuple(k for k in blank if not rows[header][k].strip() or (k == 0 and period))
-    return replace(found, names=_unique(rows[header]), blank=unnamed, period=period)
+    units = [_unit(cell) for cell in rows[header + 1]] if len(rows[header + 1]) == width else []
+    units = units if header + 1 < first else []
+    return replace(found, names=_unique(rows[header]), blank=unnamed, period=period, units=tuple(units))
+
+
+def _unit(cell: str) -> str:
+    """Return the unit in a cell below a name, ``(ms)``; empty if it is none."""
+    plain = cell.strip().strip("[]()").strip().replace("µ", "u").replace("μ", "u")
+    words = {"volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "second": "s", "seconds": "s"}
+    unit = words.get(plain.lower(), plain)
+    return unit if _UNIT.fullmatch(unit) else ""
 
 
 def _unique(cells: Sequence[str]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, NoReturn, cast
 
 from drive_id.errors import NotABagError
 from drive_id.files.inputs.input_file import open_input
@@ -73,14 +73,10 @@ def log_kind(path: Path) -> str:
             return kind
     for magic, (what, remedy) in _FOREIGN.items():
         if head.startswith(magic):
-            raise NotABagError(f"{path} is {what}, which is not read: {remedy}.")
-    if head.startswith(_GZIP):
-        return _text_kind(_unpacked_head(path)) or _refused(path, "holds no text", "unpack it, and give what it holds")
-    if head.startswith(_ZIP):
-        return _zip_kind(path)
-    if path.suffix in _BAG_ENDINGS:
-        return ""  # a damaged one
-    return _text_kind(head)
+            _refuse(path, f"is {what}", remedy)
+    if head.startswith((_ZIP, _GZIP)):
+        return _zip_kind(path) if head.startswith(_ZIP) else _packed_kind(path)
+    return "" if path.suffix in _BAG_ENDINGS else _text_kind(head)
 
 
 def _text_kind(head: bytes) -> str:
@@ -95,15 +91,22 @@ def _text_kind(head: bytes) -> str:
 def _zip_kind(path: Path) -> str:
     names = _zip_members(path)
     if "[Content_Types].xml" in names:
-        return _refused(path, "is an Excel workbook", "save its sheet as CSV")
+        _refuse(path, "is an Excel workbook", "save its sheet as CSV")
     if names and all(name.endswith(".npy") for name in names):
         return "npz"
     if len(names) != 1:
-        return _refused(path, f"holds {len(names)} files", "unpack it, and give the one that holds the samples")
-    return _text_kind(_unpacked_head(path)) or _refused(path, "holds no text", "unpack it, and give what it holds")
+        _refuse(path, f"holds {len(names)} files", "unpack it, and give the one that holds the samples")
+    return _packed_kind(path)
 
 
-def _refused(path: Path, what: str, remedy: str) -> str:
+def _packed_kind(path: Path) -> str:
+    kind = _text_kind(_unpacked_head(path))
+    if not kind:
+        _refuse(path, "is packed and holds no text", "unpack it, and give what it holds")
+    return kind
+
+
+def _refuse(path: Path, what: str, remedy: str) -> NoReturn:
     raise NotABagError(f"{path} {what}, which is not read: {remedy}.")
 
 
@@ -131,7 +134,7 @@ def text_stream(path: Path) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
         file.seek(0)
         if magic.startswith(_GZIP):
             with gzip.GzipFile(fileobj=file) as text:
-                yield text, file
+                yield cast(IO[bytes], text), file
         elif magic.startswith(_ZIP):
             with zipfile.ZipFile(file) as archive, archive.open(_member(archive)) as text:
                 yield text, file

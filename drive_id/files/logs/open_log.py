@@ -21,7 +21,9 @@ def open_log(path: Path) -> Iterator[ColumnLog]:
     """
     kind = log_kind(path)
     if not kind:
-        raise NotABagError(f"{path} is neither a bag nor a text table, Parquet, Feather, NumPy, MATLAB, MDF, TDMS or HDF5 file: check it.")
+        raise NotABagError(
+            f"{path} is no bag, text table, Parquet, Feather, NumPy, MATLAB, MDF, TDMS or HDF5 file: export it as CSV."
+        )
     with one_sentence(path, kind):
         log = _opened(path, kind)
     with closing(log):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from drive_id.errors import MessageTypeError
 from drive_id.files.inputs.input_file import open_input
 from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, ColumnLog, Rows
-from drive_id.files.logs.csv_dialect import INFINITE, csv_dialect
+from drive_id.files.logs.csv_dialect import INFINITE, CsvDialect, csv_dialect
 from drive_id.files.logs.log_kind import text_stream
 from drive_id.files.storage.container import UnpackBudget
 
@@ -64,7 +64,7 @@ class CsvLog(FrameLog):
         self._decimal = dialect.decimal
         every = [k for k in range(len(dialect.names)) if k not in dialect.blank]
         self.groups = tuple(
-            ColumnGroup(name, {dialect.names[k]: "number" for k in columns}, None, dialect.period is not None)
+            ColumnGroup(name, {dialect.names[k]: _type(dialect, k) for k in columns}, None, dialect.period is not None)
             for name, columns in dialect.groups or (("", every),)
         )
 
@@ -113,8 +113,13 @@ class CsvLog(FrameLog):
                 yield chunk.rename(columns=numbers), min(file.tell() / size, 1.0)
 
 
+def _type(dialect: CsvDialect, k: int) -> str:
+    """Return the type of a column, with its unit if the file gives it: ``number [ms]``."""
+    return f"number [{dialect.units[k]}]" if dialect.units and dialect.units[k] else "number"
+
+
 class JsonLog(FrameLog):
-    """A text file with one JSON object per line; fields of fields are ``header.stamp.sec``, numbers of lists ``i[0]``."""
+    """A text file with one JSON object per line; inner fields are ``header.stamp.sec``, numbers of lists ``i[0]``."""
 
     kind = "jsonl"
 
@@ -137,10 +142,11 @@ class JsonLog(FrameLog):
                     entries = [json.loads(line.decode("utf-8-sig")) for line in lines if line.strip()]
                 except ValueError as error:
                     raise MessageTypeError(
-                        f"{self.path} is not a file with one JSON object in each line ({error}): write it so, or as CSV."
+                        f"{self.path} has no JSON object in each line ({error}): write one a line, or a CSV file."
                     ) from error
-                yield _flat(pd.json_normalize([entry for entry in entries if isinstance(entry, dict)])), min(
-                    file.tell() / size, 1.0
+                yield (
+                    _flat(pd.json_normalize([entry for entry in entries if isinstance(entry, dict)])),
+                    min(file.tell() / size, 1.0),
                 )
 
 

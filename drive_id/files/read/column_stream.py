@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from drive_id.core.signals.restarts import Restarts
 from drive_id.errors import ConfigurationError, MessageTypeError, MissingTopicError
 from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, ColumnLog, Rows, find_column
-from drive_id.files.logs.seconds import seconds_columns
 from drive_id.files.logs.open_log import open_log
+from drive_id.files.logs.seconds import seconds_columns
 from drive_id.files.messages.field_path import FieldPathError
 from drive_id.files.messages.message_reader import MessageSamples, ticks_to_ns
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
@@ -174,9 +174,9 @@ def _stamps(rows: Rows, section: _Section) -> NDArray[Any]:
     name = _shown(section.stamp)
     raw = [np.asarray(rows.values[column]) for column in section.stamp]
     if section.stamp[0].name == OWN_TIME:
-        return np.maximum(raw[0], NO_TIME + 1)
+        return np.asarray(np.maximum(raw[0], NO_TIME + 1))
     there = ~np.any([np.isnan(column) for column in raw], axis=0)
-    found = np.full(len(raw[0]), NO_TIME)
+    found: NDArray[Any] = np.full(len(raw[0]), NO_TIME)
     ticks = [1e9, 1.0] if len(raw) > 1 else [section.source.tick]
     found[there] = sum(ticks_to_ns(column[there], tick, name) for column, tick in zip(raw, ticks, strict=True))
     return found

@@ -69,9 +69,13 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     Raises ConfigurationError when no columns look like currents, voltages and an angle: says which are missing.
     """
     tables = [timed(_filled(part), contents) for table in contents.tables for part in by_presence(table)]
+    tables = [_onward(table) for table in tables]
     if not any(len(table.stamp) for table in tables):
         tables = [numbered(table) for table in tables]
     tables = [table for table in tables if len(table.stamp) > FEWEST and table.columns]
+    unread = [table.problem for table in contents.tables if table.problem and not table.columns]
+    if unread and len(unread) == len(contents.tables):
+        raise ConfigurationError(f"Nothing in {contents.path} can be read: {unread[0]}")
     groups = [found for table in tables for found in _groups(table)]
     angles = sorted((found for table in tables for found in _angles(table)), key=angle_points, reverse=True)
     currents = sorted(groups, key=current_points, reverse=True)
@@ -112,6 +116,16 @@ def by_presence(table: Table) -> Iterator[Table]:
         yield replace(
             table, columns={name: table.columns[name][rows] for name in table.columns if name in {*names, *full}}
         )
+
+
+def _onward(table: Table) -> Table:
+    """Return the rows of a table before its clock is set back, if they are enough to recognize the columns."""
+    back = np.flatnonzero(np.diff(table.stamp) < 0)
+    if not len(back) or back[0] < 2 * FEWEST:
+        return table
+    kept = slice(0, int(back[0]) + 1)
+    columns = {name: x[kept] if len(x) == len(table.stamp) else x for name, x in table.columns.items()}
+    return replace(table, stamp=table.stamp[kept], columns=columns)
 
 
 def _filled(table: Table) -> Table:

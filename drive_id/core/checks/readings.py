@@ -47,7 +47,7 @@ _LATE = (0.02, 64, 256)
 _LATE_SHARE = 8  # part of a run that it may take
 _LATE_TURN = 0.3  # rad by which the rotor turns between the delays that are tried first
 _LATE_BETTER = 0.85
-"""Largest ratio of unexplained voltage, to that at a drive's usual delays, at which a shift in time is reported; 0.89 at
+"""Largest ratio of unexplained voltage, to that at a drive's usual delays, of a shift in time that is reported: 0.89 at
 least on 28 good random drives."""
 _CORRECTED = "unexplained_corrected"
 _RESTING = 0.05

@@ -62,7 +62,7 @@ LinkOption = Annotated[
 WorkersOption = Annotated[int, typer.Option(help="Processes that read the bags.", min=1)]
 SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, with a warning.")]
 FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with fit settings.")]
-ForceFlag = Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")]
+ForceFlag = Annotated[bool, typer.Option("--force", help="Replace other results, and write beside other files.")]
 
 
 def listing(settings: str) -> type[TyperCommand]:

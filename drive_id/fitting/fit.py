@@ -19,7 +19,8 @@ from drive_id.core.signals.pieces import common_truth
 from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import SignalMap, read_signals
-from drive_id.files.results.folder import check_output
+from drive_id.files.read.several import digests_of
+from drive_id.files.results.folder import check_output, check_recordings, is_result
 from drive_id.files.results.information import check_information_output, write_information
 from drive_id.fitting.completion import completed
 from drive_id.fitting.result import Identification
@@ -177,8 +178,11 @@ def fit_bags(
 ) -> Identification:
     """Fit bags and information files of one drive, and write the results to a folder, unless ``output`` is None.
 
-    ``force`` writes into a folder that holds other files. Raises DriveIdError; nothing is written then.
+    ``force`` replaces the result of other recordings and writes into a folder that holds other files. Raises
+    DriveIdError; nothing is written then.
     """
+    if output is not None and is_result(output) and not (sources.information or sources.skip_bad):
+        check_recordings(output, digests_of(sources.paths), force=force)  # before the work; again when it is written
     return _saved(partial(_fit_sources, sources, settings, tell), output, force=force, tell=tell)
 
 

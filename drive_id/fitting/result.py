@@ -54,9 +54,9 @@ class Identification(Result):
         Parameters
         ----------
         directory : path
-            Created when missing; an earlier result in it is replaced.
+            Created when missing; an earlier result of the same recordings in it is replaced.
         force : bool
-            Write into a folder that holds other files.
+            Replace the result of other recordings, and write into a folder that holds other files.
         draw : bool
             Write pictures, too, and what the paper's methods make of the data, for reports of the folder.
         report : bool

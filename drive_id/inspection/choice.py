@@ -12,57 +12,42 @@ from drive_id.core import frames
 from drive_id.core.checks.readings import LikelyReading, likely_reading
 from drive_id.core.checks.recognition import angle_like, is_count, likely_counts, rotation_of
 from drive_id.core.numerics.largest import USUAL_QUANTILE
-from drive_id.core.signals.equal_spacing import equal_spacing
 from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.files.messages.signal_sources import STAMP_UNITS
+from drive_id.inspection.clock import FEWEST, PERIODS, numbered, regular_stamps, timed
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import name_groups, suggests, time_unit
+from drive_id.inspection.duty import full_scale
+from drive_id.inspection.names import name_groups, suggests, words
 from drive_id.inspection.points import AngleColumn, PhaseGroup, angle_points, current_points, dc_link, voltage_points
-from drive_id.types import FloatArray, IntArray, Samples
+from drive_id.types import FloatArray, Samples
 
 _SPAN = 1 << 13
 """Samples of an excerpt by which a reading is judged: some tenths of a second."""
 _SPANS = 5
 """Excerpts, spread over the log."""
-_FEWEST = 200
-"""Rows by which a column is recognized at least."""
 _BALANCED = 0.35
 """Relative difference of the sizes of three phases, as gains of current sensors and a short log may cause."""
-JITTER = 0.02
-"""Jitter of the stamps, by the period, from which they are replaced by equally spaced ones."""
-LARGEST_DUTY = 1.17
-"""Largest duty cycle with its zero sequence, 2 / sqrt(3), and a reserve."""
 _MOST_TRIED = 12
 """Combinations of currents, voltages and angle that are tried: each takes some tenths of a second."""
 _LARGEST = 1e30
 """Larger numbers are no measurements but damage: they count as missing."""
-_LONGEST = 2.0**62  # ns, which stamps hold
 _GOOD = 0.15
 """Share of the voltage, unexplained, that a right choice hardly exceeds."""
 _NAME = 0.1
 """Share of the voltage, unexplained, that weighs as much as one hint of a name."""
-_PERIODS = (5e-7, 0.05)
-"""Shortest and longest plausible sample period, s."""
 SURE_CURRENT = 1.5
 """Points of currents whose names leave little doubt, so that a good fit of them ends the search."""
 SURE_VOLTAGE = 1.0
 """The same of voltages, whose sum cannot speak for them as it does for currents."""
 _MOST_THERE = 0.8
 """Least share of rows with a value for which missing values of a column are interpolated."""
-_REGULAR = 1e-3
-"""Relative spread of the steps of a column that may be a time without a name."""
 _LINES = np.exp(-1j * np.pi / 6) / np.sqrt(3)
 """Space vector of the phases by that of voltages between them."""
-_MEANINGS = ("angle", "speed", "current", "voltage", "reference")
-INDEX = "index"
-"""Stamp source for row numbers."""
-GUESSED_PERIOD = 1e-4
-"""Period that the draft assumes for a log without a time column, s."""
-
-
-class NoAngleError(ConfigurationError):
-    """The log holds no angle."""
+_ODOMETERS = {
+    "tachometer", "odometer", "hours", "charge", "charged", "used", "consumed", "energy", "distance", "trip", "soc",
+    "ah", "wh", "battery", "level",
+}  # fmt: skip
+"""Words of what only grows, as an angle without wraps does."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +68,14 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
 
     Raises ConfigurationError when no columns look like currents, voltages and an angle: says which are missing.
     """
-    tables = [timed(_filled(table), contents) for table in contents.tables]
+    tables = [timed(_filled(part), contents) for table in contents.tables for part in by_presence(table)]
+    tables = [_onward(table) for table in tables]
     if not any(len(table.stamp) for table in tables):
-        tables = [_numbered(table) for table in tables]
-    tables = [table for table in tables if len(table.stamp) > _FEWEST and table.columns]
+        tables = [numbered(table) for table in tables]
+    tables = [table for table in tables if len(table.stamp) > FEWEST and table.columns]
+    unread = [table.problem for table in contents.tables if table.problem and not table.columns]
+    if unread and len(unread) == len(contents.tables):
+        raise ConfigurationError(f"Nothing in {contents.path} can be read: {unread[0]}")
     groups = [found for table in tables for found in _groups(table)]
     angles = sorted((found for table in tables for found in _angles(table)), key=angle_points, reverse=True)
     currents = sorted(groups, key=current_points, reverse=True)
@@ -94,13 +83,12 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     kinds = (("three balanced currents or voltages", groups), ("a rotor angle", angles))
     missing = [what for what, found in kinds if not found]
     if missing:
-        kind = ConfigurationError if angles else NoAngleError
-        raise kind(
+        raise ConfigurationError(
             f"Nothing in {contents.path} looks like {' or '.join(missing)}: write the signals file by hand, from "
             "config/signals_example_stranger.yaml or signals_example_columns.yaml, or without an angle for a slow log "
             "in d and q, as in docs/slow_logs.md."
         )
-    choice = _chosen(currents, voltages, angles, dc_link(tables))
+    choice = _chosen(currents, voltages, angles, tables)
     if choice is None:
         raise ConfigurationError(
             f"{contents.path} holds no two sets of phase quantities that share their time with an angle: write the "
@@ -112,17 +100,32 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
 # -- recognizing ---------------------------------------------------------------------------------------------------
 
 
-def timed(table: Table, contents: Contents) -> Table:
-    """Return a table of columns with stamps from the column that looks like its time."""
-    if len(table.stamp) or contents.is_bag:
+def by_presence(table: Table) -> Iterator[Table]:
+    """Yield a table divided by which of its columns hold values in the same rows, as where each row is of one topic."""
+    there = {name: np.isfinite(x) for name, x in table.columns.items() if len(x)}
+    sparse = [name for name, known in there.items() if known.any() and known.mean() < _MOST_THERE]
+    if not sparse or len(table.stamp):
+        yield table
+        return
+    full = [name for name in there if there[name].mean() >= _MOST_THERE]
+    parts: dict[bytes, list[str]] = {}
+    for name in sparse:
+        parts.setdefault(there[name].tobytes(), []).append(name)
+    for names in parts.values():
+        rows = there[names[0]]
+        yield replace(
+            table, columns={name: table.columns[name][rows] for name in table.columns if name in {*names, *full}}
+        )
+
+
+def _onward(table: Table) -> Table:
+    """Return the rows of a table before its clock is set back, if they are enough to recognize the columns."""
+    back = np.flatnonzero(np.diff(table.stamp) < 0)
+    if not len(back) or back[0] < 2 * FEWEST:
         return table
-    found = time_column(table)
-    if found is None:
-        return table
-    name, unit = found
-    values = table.columns[name]
-    stamp = np.rint((values - values[0]) * STAMP_UNITS[unit]).astype(np.int64)
-    return replace(table, stamp=stamp, stamp_source=name)
+    kept = slice(0, int(back[0]) + 1)
+    columns = {name: x[kept] if len(x) == len(table.stamp) else x for name, x in table.columns.items()}
+    return replace(table, stamp=table.stamp[kept], columns=columns)
 
 
 def _filled(table: Table) -> Table:
@@ -139,39 +142,18 @@ def _filled(table: Table) -> Table:
     return replace(table, columns={name: filled(x) for name, x in table.columns.items() if len(x)})
 
 
-def _numbered(table: Table) -> Table:
-    """Return a table without a time column with stamps from row numbers, at a guessed rate."""
-    rows = len(next(iter(table.columns.values()), ()))
-    return replace(table, stamp=np.arange(rows) * round(1e9 * GUESSED_PERIOD), stamp_source=INDEX)
-
-
-def time_column(table: Table) -> tuple[str, str] | None:
-    """Return the column that looks like the time, and its unit; None if none does."""
-    for name, x in sorted(table.columns.items(), key=lambda item: not suggests(item[0], "time")):
-        if len(x) < _FEWEST or not np.isfinite(x).all() or not suggests(name, "time"):
-            continue
-        step = float(np.median(np.diff(x)))
-        if step <= 0 or float(np.mean(np.diff(x) > 0)) < 0.9:
-            continue
-        said = time_unit(name)
-        for unit in [said] if said else ["s", "ms", "us", "ns"]:
-            fits = float(np.ptp(x)) * STAMP_UNITS[unit] < _LONGEST
-            if fits and _PERIODS[0] <= step * STAMP_UNITS[unit] * 1e-9 <= _PERIODS[1]:
-                return name, unit
-    name, x = next(iter(table.columns.items()), ("", np.zeros(0)))
-    steps = np.diff(x)
-    regular = len(x) >= _FEWEST and np.isfinite(x).all() and steps.min() > 0 and np.ptp(steps) < _REGULAR * steps.mean()
-    if regular and _PERIODS[0] <= steps.mean() <= _PERIODS[1] and not any(suggests(name, what) for what in _MEANINGS):
-        return name, "s"  # the first column, without a known name
-    return None
-
-
 def _groups(table: Table) -> Iterator[PhaseGroup]:
     moving = {name: x for name, x in table.columns.items() if len(x) == len(table.stamp) and np.ptp(x) > 0}
     for group in name_groups(list(moving)):
         values = np.column_stack([moving[name] for name in group.names])
+        units = {table.unit(name) for name in group.names}
+        if len(units) > 1:
+            continue
+        stem = group.stem
+        if any(units):
+            stem = f"{group.stem} [{units.pop()}]"
         if np.isfinite(values).all() and (group.frame not in ("abc", "line_to_line") or _balanced(values)):
-            yield PhaseGroup(table, group, values)
+            yield PhaseGroup(table, replace(group, stem=stem), values)
 
 
 def _balanced(values: FloatArray) -> bool:
@@ -192,7 +174,7 @@ def _angles(table: Table) -> Iterator[AngleColumn]:
         if len(x) != len(table.stamp) or is_count(x) or suggests(name, "time"):
             continue
         like = angle_like(x)
-        if like is not None:
+        if like is not None and (like.wraps or not words(name) & _ODOMETERS):
             yield AngleColumn(table, name, like, x)
 
 
@@ -203,7 +185,7 @@ def _chosen(
     currents: Sequence[PhaseGroup],
     voltages: Sequence[PhaseGroup],
     angles: Sequence[AngleColumn],
-    dc: tuple[Table, str] | None,
+    tables: Sequence[Table],
 ) -> Choice | None:
     """Return the likeliest currents, voltages and angle, by their names and the fit of a rough machine model."""
     pairs = [
@@ -215,7 +197,7 @@ def _chosen(
     pairs.sort(key=lambda pair: current_points(pair[0]) + voltage_points(pair[1]), reverse=True)
     best: tuple[float, Choice] | None = None
     for (i, u), angle in islice(product(pairs, angles[:3]), _MOST_TRIED):
-        found = _read(i, u, angle, dc)
+        found = _read(i, u, angle, dc_link(tables, (*i.group.names, *u.group.names, angle.name)))
         if found is None:
             continue
         left = found.reading.unexplained
@@ -279,14 +261,6 @@ def _vector(
     return np.asarray(frames.space_vector(_three(values)))
 
 
-def regular_stamps(table: Table) -> IntArray:
-    """Return the stamps of a table, without jitter if they have much."""
-    period, jitter = table.period, table.jitter
-    if period is None or jitter is None or jitter < JITTER * period * table.block:
-        return table.stamp
-    return equal_spacing(table.stamp, np.ones(len(table.stamp), np.int64), name=table.name).stamp
-
-
 def _samples(
     i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, modulus: float | None, dc: tuple[Table, str] | None
 ) -> Samples | None:
@@ -296,7 +270,7 @@ def _samples(
         kept = np.append(True, np.diff(np.maximum.accumulate(clock)) > 0)
         clock, i = clock[kept], replace(i, values=i.values[kept])
     period = float(np.median(np.diff(clock))) * 1e-9
-    if not _PERIODS[0] <= period <= _PERIODS[1]:
+    if not PERIODS[0] <= period <= PERIODS[1]:
         return None
     x = np.unwrap(angle.values, period=modulus or angle.like.turn) if angle.like.wraps else angle.values
     x = x * (2 * np.pi / angle.like.turn)
@@ -306,13 +280,15 @@ def _samples(
     at = regular_stamps(u.table)
     u_values = u.values if u.table is i.table and len(u.values) == len(clock) else u.values[nearest(clock, at)]
     u_s = _vector(u.group.frame, u_values, theta)
-    if dc is not None and np.abs(u.values).max() < LARGEST_DUTY:
+    full = full_scale(u)
+    u_s = u_s / (full or 1.0)
+    if dc is not None and full:
         table, name = dc
         u_s = u_s * np.interp(
             (clock - clock[0]).astype(float), (table.stamp - clock[0]).astype(float), table.columns[name]
         )
     inside = (clock >= max(angle.table.stamp[0], at[0])) & (clock <= min(angle.table.stamp[-1], at[-1]))
-    if inside.sum() < _FEWEST:
+    if inside.sum() < FEWEST:
         return None
     clock, theta, i_s, u_s = clock[inside], theta[inside], i_s[inside], u_s[inside]
     starts = np.append(0, np.flatnonzero(np.diff(clock) > 1.5e9 * period) + 1)

@@ -51,6 +51,10 @@ class Table:
     block: int = 1  # samples per message; 1 for columns
     problem: str = ""  # why a topic cannot be read
 
+    def unit(self, name: str) -> str:
+        """Return the unit that the log gives for a column, such as ``ms``; empty if it gives none."""
+        return self.types.get(name, "").partition("[")[2].rstrip("]")
+
     @property
     def period(self) -> float | None:
         """Usual time between rows, s; None without stamps."""
@@ -66,6 +70,8 @@ class Table:
             return None
         steps = np.diff(each).astype(np.float64)
         usual = float(np.median(steps))
+        if usual == 0.0:  # several rows share each printed time
+            return float(np.sqrt(np.mean((steps - steps.mean()) ** 2))) * 1e-9
         near = steps[np.abs(steps - usual) < 20 * max(np.median(np.abs(steps)), 1.0)]
         if np.mean(np.abs(near - usual) < _STEADY * usual) > _MOSTLY:
             near = near - usual * (np.maximum(np.rint(near / usual), 1) - 1)

@@ -4,28 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.checks.recognition import is_count
 from drive_id.core.signals.matching import nearest
+from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signal_sources import SPEED_UNITS
-from drive_id.inspection.choice import (
-    GUESSED_PERIOD,
-    INDEX,
-    JITTER,
-    LARGEST_DUTY,
-    Choice,
-    NoAngleError,
-    choose,
-    regular_stamps,
-    time_column,
-)
+from drive_id.inspection.choice import Choice, choose
+from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
+from drive_id.inspection.duty import full_scale
+from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
-from drive_id.inspection.static_draft import static_draft
+from drive_id.inspection.static_draft import is_slow, static_draft
 
 _SAME_RATE = 0.005
 """Relative difference up to which two sample periods are the same."""
@@ -33,6 +27,12 @@ _POOR = 0.35
 """Share of the voltage, unexplained, from which the choice itself is in doubt."""
 _LARGEST_CURRENT = 5000.0
 """Largest plausible current, A, the same as in the check ``current_scale``."""
+_ASSUMED_LINK = 400.0
+"""DC-link voltage, V, for which the scale of duty cycles is written where the log holds none."""
+_MOST_POLE_PAIRS = 24
+"""Pole pairs that are tried as the ratio of an electrical angle and the speed of a shaft."""
+_SAME_SPEED = 0.004
+"""Relative difference of a speed and that of the angle, up to which they are the same."""
 _NO_OFFSET = 0.035
 """Estimated offset, rad, that is not told from none."""
 _COARSE = 1e-3
@@ -55,13 +55,18 @@ def propose(contents: Contents) -> Draft:
 
     Raises ConfigurationError when no columns look like currents, voltages and an angle: says which are missing.
     """
-    try:
-        return _DraftText(contents, *choose(contents)).draft()
-    except NoAngleError:
-        found = static_draft(contents)
-        if found is None:
-            raise
-    return _draft(contents, "A slow log in d and q without an angle: fit it with --method static.", *found, static=True)
+    static = static_draft(contents)
+    if static is None or not is_slow(contents):
+        try:
+            text = _DraftText(contents, *choose(contents))
+            if static is None or text.unexplained <= _POOR:
+                return text.draft()
+        except ConfigurationError:
+            if static is None:
+                raise
+    return _draft(
+        contents, "A slow log in d and q without an angle: fit it with --method static.", *static, static=True
+    )
 
 
 def _draft(contents: Contents, remark: str, body: list[str], unsure: list[str], *, static: bool = False) -> Draft:
@@ -83,6 +88,10 @@ class _DraftText:
         self._choice = choice
         self._unsure: list[str] = []
         self._period = choice.currents.table.period or 0.0
+        taken = (*choice.currents.group.names, *choice.voltages.group.names, choice.angle.name)
+        self._taken = {*taken, choice.angle.table.stamp_source}
+        self._link = dc_link(tables, taken)
+        self.unexplained = choice.reading.unexplained
 
     def draft(self) -> Draft:
         """Return the proposal."""
@@ -92,7 +101,7 @@ class _DraftText:
                 "The log has no time column: set sample_period in every section to the time between two rows (the "
                 f"draft assumes {GUESSED_PERIOD:g} s); speed and flux linkages depend on it."
             )
-        left = self._choice.reading.unexplained
+        left = self.unexplained
         if left > _POOR:
             self._unsure.append(
                 f"A rough machine model leaves {100 * left:.0f} % of the voltage unexplained by these signals: "
@@ -139,8 +148,7 @@ class _DraftText:
     def _currents(self) -> list[str]:
         i = self._choice.currents
         lines = [f"  fields: {listed(i.group.names)}", *_frame(i)]
-        label = " ".join(i.group.names).lower()
-        scale = 0.001 if "[ma]" in label or "(ma)" in label else 1.0
+        scale = _unit_factor(i)
         if scale == 1.0 and float(np.abs(i.values).max()) > _LARGEST_CURRENT:
             scale = 0.001
             self._unsure.append(
@@ -165,33 +173,12 @@ class _DraftText:
                     "Currents and voltages have opposite signs: currents must be positive into the machine."
                 )
         lines = [f"  fields: {listed(names)}", *_frame(u)]
-        low, high = float(u.values.min()), float(u.values.max())
-        percent = low >= 0 and LARGEST_DUTY < high <= 101 and bool(words(u.label) & {"duty", "pwm", "dutycycle"})
-        if max(-low, high) <= LARGEST_DUTY or percent:
-            share = 0.01 if percent else 1.0 if low >= -0.02 else 0.5
-            range_ = "0 to 100 %" if percent else "0 to 1" if low >= -0.02 else "-1 to 1"
-            if share == 0.5:
-                self._unsure.append(
-                    "The duty cycles lie around zero and were taken to reach from -1 to 1: if they are voltages over "
-                    "the DC-link voltage, -0.5 to 0.5, double the scale. The data cannot tell; R and flux follow it."
-                )
-            dc = dc_link(self._tables)
-            if dc is None:
-                lines.append(
-                    f"  scale: {share * 100:g}  # EDIT: duty cycles, so {share:g} times the DC-link voltage, V"
-                )
-                self._unsure.append(
-                    f"The voltages are duty cycles from {range_}, and no DC-link voltage is in the log: set scale of "
-                    f"the voltages to {share:g} times that voltage (written for 100 V)."
-                )
-            else:
-                table, name = dc
-                if not is_named_link(table, name):
-                    self._unsure.append(f"{name} was taken for the DC-link voltage by its values, not by its name.")
-                source = [*self._source(table), f"field: {quoted(name)}"]
-                source += [] if share == 1.0 else [f"scale: {share:g}"]
-                lines.append(f"  scale: {{{', '.join(source)}}}   # duty cycles from {range_}")
-        elif not suggests(u.label, "voltage"):
+        full = full_scale(u)
+        if full:
+            lines.append(self._duty_scale(u, full))
+        elif (factor := _unit_factor(u)) != 1.0:
+            lines.append(f"  scale: {factor:g}")
+        if not suggests(u.label, "voltage"):
             self._unsure.append(
                 f"{', '.join(u.group.names)} were taken for the voltages by their values, not by their names."
             )
@@ -206,6 +193,29 @@ class _DraftText:
         if rate and self._period and abs(rate / self._period - 1) > 2 * _SAME_RATE:
             self._unsure.append("Voltages and currents are recorded at different rates, which a fit refuses.")
         return ["voltages:", *self._time(u.table, lines)]
+
+    def _duty_scale(self, u: PhaseGroup, full: float) -> str:
+        """Return the line that scales duty cycles of this range to volts."""
+        known = {1.0: "0 to 1", 2.0: "-1 to 1", 100.0: "0 to 100 %", 200.0: "-100 to 100 %"}
+        range_ = known.get(full, f"0 to {full:g}")
+        if full == 2.0:
+            self._unsure.append(
+                "The duty cycles lie around zero and were taken to reach from -1 to 1: if they are voltages over "
+                "the DC-link voltage, -0.5 to 0.5, double the scale. The data cannot tell; R and flux follow it."
+            )
+        if self._link is None:
+            self._unsure.append(
+                f"{', '.join(u.group.names)} are duty cycles from {range_}, and no DC-link voltage is in the log: set "
+                f"scale of the voltages to that voltage over {full:g} (written for {_ASSUMED_LINK:g} V); R and flux "
+                "are proportional to it."
+            )
+            return f"  scale: {_ASSUMED_LINK / full:g}  # EDIT: U_dc/{full:g}, V, for duty cycles from {range_}"
+        table, name = self._link
+        if not is_named_link(table, name):
+            self._unsure.append(f"{name} was taken for the DC-link voltage by its values, not by its name.")
+        source = [*self._source(table), f"field: {quoted(name)}"]
+        source += [] if full == 1.0 else [f"scale: {1 / full:g}"]
+        return f"  scale: {{{', '.join(source)}}}   # duty cycles from {range_}"
 
     def _rotor(self) -> list[str]:
         choice, angle, reading = self._choice, self._choice.angle, self._choice.reading
@@ -264,20 +274,25 @@ class _DraftText:
         at = regular_stamps(angle.table)
         x = np.unwrap(angle.values, period=choice.modulus or choice.turn) if angle.like.wraps else angle.values
         x = x * (2 * np.pi / choice.turn)
-        moved, seconds = float(x[-1] - x[0]), float(at[-1] - at[0]) * 1e-9
+        seconds = (at - at[0]) * 1e-9
         half = len(x) // 2
-        first = float(x[half] - x[0]) / (float(at[half] - at[0]) * 1e-9)
+        if x[-1] == x[0] or not 0 < seconds[half] < seconds[-1]:
+            return ["  # no field is the speed of this angle: it is derived from the angle"]
+        by_angle = np.array([(x[-1] - x[0]) / seconds[-1], (x[half] - x[0]) / seconds[half]])
+        pole_pairs = range(1, _MOST_POLE_PAIRS + 1) if abs(choice.reading.ratio[0]) == 1 else (1,)
         for name, y in angle.table.columns.items():
-            if not moved or name == angle.name or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
+            if name in self._taken or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
                 continue
-            for unit, factor in SPEED_UNITS.items():
-                for scale in (1, -1):
-                    ratio = scale * float(y.mean()) * factor * seconds / moved
-                    halves = scale * float(y[:half].mean()) * factor / first if first else 0.0
-                    close = abs(ratio - 1) < 0.004 and abs(halves - 1) < 0.01
-                    if close and (suggests(name, "speed") or np.ptp(y) > 0):
-                        sign = ["  speed_scale: -1"] if scale < 0 else []
-                        return [f"  speed: {quoted(name)}", f"  speed_unit: {unit}", *sign]
+            means, named = np.array([y.mean(), y[:half].mean()]), suggests(name, "speed")
+            for (unit, factor), pairs in product(SPEED_UNITS.items(), pole_pairs):
+                ratios = means * factor * pairs / by_angle
+                near = np.abs(np.abs(ratios) - 1)
+                sure = named or (np.ptp(y) > 0 and pairs == 1) or (unit == "rpm" and near.max() < _SAME_SPEED / 4)
+                if near[0] < _SAME_SPEED and near[1] < 2.5 * _SAME_SPEED and sure:
+                    scale = pairs * (1 if ratios[0] > 0 else -1)
+                    why = f"   # {pairs} pole pairs: the angle is electrical, the speed that of the shaft"
+                    scaled = [f"  speed_scale: {scale}{why if pairs > 1 else ''}"] if scale != 1 else []
+                    return [f"  speed: {quoted(name)}", f"  speed_unit: {unit}", *scaled]
         return ["  # no field is the speed of this angle: it is derived from the angle"]
 
     def _reference(self) -> list[str]:
@@ -308,12 +323,18 @@ class _DraftText:
         return []
 
     def _optional(self) -> list[str]:
-        dc = dc_link(self._tables)
-        if dc is None or not is_named_link(*dc):
+        if self._link is None or not is_named_link(*self._link):
             return []
-        table, name = dc
+        table, name = self._link
         time = [f"  {line}" for line in self._time(table, []) if "equally" not in line and "first_sample" not in line]
         return ["", "optional:", "  dc_link_voltage:", *time, f"    field: {quoted(name)}"]
+
+
+def _unit_factor(found: PhaseGroup) -> float:
+    """Return the factor to A or V by the unit that the log or the name of a column gives."""
+    said = found.table.unit(found.group.names[0]) or found.group.names[0].strip().rstrip("])").rpartition("[")[2]
+    said = said.rpartition("(")[2]
+    return {"m": 1e-3, "u": 1e-6, "k": 1e3}.get(said[:1], 1.0) if said[1:] in ("A", "V") else 1.0
 
 
 def _frame(found: PhaseGroup) -> list[str]:

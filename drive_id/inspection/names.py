@@ -16,11 +16,11 @@ _WORDS = {
     "reference": ("ref", "reference", "set", "setpoint", "cmd", "command", "target", "des", "desired", "soll", "star"),
     "angle": ("angle", "theta", "position", "pos", "phi", "rotor", "enc", "encoder", "counts", "epos", "winkel", "th",
               "resolver", "el"),
-    "speed": ("speed", "velocity", "vel", "omega", "rpm", "n", "w", "drehzahl"),
+    "speed": ("speed", "velocity", "vel", "omega", "rpm", "erpm", "n", "w", "drehzahl"),
     "dc": ("dc", "udc", "vdc", "ubus", "vbus", "bus", "link", "dclink", "zk", "uzk", "battery", "supply"),
-    "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds"),
+    "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds", "sec", "secs", "today", "elapsed"),
 }  # fmt: skip
-_TIME_UNIT = re.compile(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?$")
+_TIME_UNIT = re.compile(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?(?: \(\d+\))?$|^(ns|us|µs|ms)_")
 _YAML_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
 _UNITS = {"current": ("[a]", "(a)", "[ma]", "(ma)"), "voltage": ("[v]", "(v)")}
 
@@ -53,7 +53,7 @@ def suggests(name: str, meaning: str) -> bool:
 def time_unit(name: str) -> str:
     """Return the unit of time at the end of a name, as in ``time [ms]`` or ``t_us``; empty if it has none."""
     said = _TIME_UNIT.search(name.lower())
-    return said.group(1).replace("µ", "u") if said else ""
+    return (said.group(1) or said.group(2)).replace("µ", "u") if said else ""
 
 
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
@@ -116,6 +116,10 @@ def _replaced(name: str) -> Iterator[tuple[tuple[str, str, str], str]]:
                 own = phases.upper() if letter.isupper() else phases
                 a, b, c = (name[:position] + phase + name[position + 1 :] for phase in own)
                 yield (a, b, c), f"{name[:position]} {name[position + 1 :]}"
+        alone = not (name[:position][-1:].isalnum() or name[position + 1 :][:1].isalnum())
+        if alone and letter.isalpha() and len(name) > 1:  # channels D, E, F of a scope
+            a, b, c = (name[:position] + chr(ord(letter) + k) + name[position + 1 :] for k in range(3))
+            yield (a, b, c), f"{name[:position]} {name[position + 1 :]}"
 
 
 def _components(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:

@@ -6,7 +6,7 @@ table is, and two hints of values; what names exclude outweighs all that speaks 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -88,9 +88,14 @@ _LINK_ALONE = 0.5
 """Points for the values alone: a steady positive number of some size."""
 
 
-def dc_link(tables: Sequence[Table]) -> tuple[Table, str] | None:
-    """Return the column that looks like the DC-link voltage, by its name, or else by its values alone."""
-    found = [(_link_points(table, name), table, name) for table in tables for name in table.columns]
+def dc_link(tables: Sequence[Table], others: Collection[str] = ()) -> tuple[Table, str] | None:
+    """Return the column that looks like the DC-link voltage, by its name, or else by its values alone.
+
+    ``others`` are known to be something else.
+    """
+    found = [
+        (_link_points(table, name), table, name) for table in tables for name in table.columns if name not in others
+    ]
     points, table, name = max(found, key=lambda entry: entry[0], default=(0.0, None, ""))
     return (table, name) if table is not None and points > 0 else None
 

@@ -12,7 +12,7 @@ from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnLog
 from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.signal_sources import STAMP_UNITS
 from drive_id.files.read.info import BagInfo
-from drive_id.inspection.choice import time_column
+from drive_id.inspection.clock import time_column
 from drive_id.inspection.contents import Table, read_contents
 
 

@@ -6,11 +6,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from drive_id.files.messages.signal_sources import STAMP_UNITS
+from drive_id.inspection.clock import timed
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import listed, name_groups, quoted, suggests, time_unit, words
 
 _RPM = {"rpm", "n", "min", "drehzahl", "speed"}
 """Words of a speed that is likely one of the shaft, in rpm."""
+_ELECTRICAL = {"erpm", "el", "elec", "electrical"}
+"""Words of a speed that is electrical; the first is one in rpm."""
+_SLOW = 5e-3
+"""Time between rows, s, from which on a log is too slow for method ``full``."""
+
+
+def is_slow(contents: Contents) -> bool:
+    """Tell whether all rows of a log with a time are too far apart for a drive's currents to be followed."""
+    periods = [table.period for table in (timed(table, contents) for table in contents.tables)]
+    known = [period for period in periods if period]
+    return bool(known) and min(known) > _SLOW
 
 
 def static_draft(contents: Contents) -> tuple[list[str], list[str]] | None:
@@ -40,15 +53,15 @@ def _lines(
         where = [f"group: {quoted(table.name)}"]
     time = next((name for name, x in table.columns.items() if suggests(name, "time") and _is_time(x)), "")
     if time and not len(table.stamp):
-        said = time_unit(time)
+        said = table.unit(time) if table.unit(time) in STAMP_UNITS else time_unit(time)
         where += [f"stamp: {quoted(time)}", f"stamp_unit: {said or 's'}"]
         if not said:
             unsure.append(f"The unit of {time} was taken to be s.")
     elif not len(table.stamp):
         unsure.append("The log has no time column, so each row is taken for an operating point.")
     scale = "  scale: 0.001" if any("[ma]" in name.lower() or "(ma)" in name.lower() for name in currents) else ""
-    shaft = bool(words(speed) & _RPM) and "el" not in words(speed)
-    unit = "rpm" if shaft else "rad/s"
+    shaft = bool(words(speed) & _RPM) and not words(speed) & _ELECTRICAL
+    unit = "rpm" if words(speed) & {*_RPM, "erpm"} else "rad/s"
     unsure.append(
         f"{speed} was taken as {f'the speed of the shaft in {unit}' if shaft else f'the electrical speed in {unit}'}: "
         "the fluxes follow its unit" + (" and pole_pairs, which no data show." if shaft else ".")

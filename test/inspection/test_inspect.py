@@ -296,11 +296,12 @@ def test_duty_cycles_with_and_without_a_dc_link(tmp_path, samples):
     assert "NOT SURE: The duty cycles lie around zero" in check(path).draft.text
     path = write_csv(tmp_path / "without.csv", columns(samples, **none, **duty))
     draft = check(path).draft
-    assert "# EDIT: duty cycles" in draft.text
+    assert "scale: 400  # EDIT: U_dc/1, V, for duty cycles from 0 to 1" in draft.text
     assert any("no DC-link voltage is in the log" in sentence for sentence in draft.unsure)
-    edited = draft.text.replace("scale: 100 ", "scale: 400 ")
-    assert edited != draft.text
-    found = read_recording(path, parse_signals(edited, "edited")).samples
+    recording = read_recording(path, parse_signals(draft.text, "draft"))
+    assert "guessed_setting" in [message.code for message in recording.warnings]
+    assert not read_recording(path, parse_signals(draft.text.replace("# EDIT", "#"), "edited")).warnings
+    found = recording.samples
     part = found.u_abc - found.u_abc.mean(axis=1, keepdims=True)
     assert np.abs(frames.space_vector(part) / frames.space_vector(samples.u_abc) - 400 / u_dc).max() < 1e-6
 

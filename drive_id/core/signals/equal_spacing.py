@@ -15,6 +15,8 @@ _FEWEST = 16
 """Least number of them: their median must not be that of a few late ones."""
 _SUSPECT = 1.5
 """Samples of time without a message from which a gap is suspected."""
+_SHARED = 0.3
+"""Share of stamps equal to the one before, from which on they are printed with too few digits."""
 _OUTLYING = 4.0  # standard deviations by which a message is delayed that does not count for the period
 
 
@@ -107,16 +109,26 @@ def _fitted_step(index: IntArray, since: FloatArray, step: float) -> float:
 def _inferred_losses(delay: FloatArray, elapsed: FloatArray, samples: IntArray, step: float) -> IntArray:
     """Return the samples lost before each message (B,), where the delay (B,), ns, steps up for good.
 
-    A late message has a larger delay than those around it; a gap raises the median of all that follow.
+    A late message has a larger delay than those around it; a gap raises the median of all that follow. Where several
+    messages share a stamp, only gaps longer than the step to the next one can be told.
     """
     lost = np.zeros(len(delay), np.int64)
     ahead = elapsed - samples * step
-    suspects = np.flatnonzero(ahead > (_SUSPECT - 1.0) * step) + 1
+    least = max((_SUSPECT - 1.0) * step, _resolution(elapsed))
+    suspects = np.flatnonzero(ahead > least) + 1
     suspects = suspects[(suspects >= _FEWEST) & (suspects <= len(delay) - _FEWEST)]
     for k in suspects[np.argsort(-ahead[suspects - 1], kind="stable")]:
         rise = float(np.median(delay[k : k + _WINDOW]) - np.median(delay[max(k - _WINDOW, 0) : k]))
         found = round(rise / step)
-        if found > 0:
+        if found > 0 and rise > least:
             lost[k] = found
             delay[k:] -= found * step  # so that a gap is not found again beside itself
     return np.asarray(np.cumsum(lost))
+
+
+def _resolution(elapsed: FloatArray) -> float:
+    """Return the step, ns, in which coarse stamps advance, by the time from each to the next; 0 for fine ones."""
+    shared = elapsed == 0
+    if not len(elapsed) or shared.mean() < _SHARED or shared.all():
+        return 0.0
+    return float(np.median(elapsed[elapsed > 0]))

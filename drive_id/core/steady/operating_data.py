@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from drive_id.errors import DataError, NonFiniteError
 from drive_id.types import FloatArray
+
+_OFF, _TURNING = 0.01, 0.1
+"""Share of the largest current and voltage below which an inverter is off, and of the largest speed above which the
+rotor turns."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -75,6 +79,21 @@ class OperatingData:
     def period(self) -> float:
         """Median time between samples, s; 0 without a time."""
         return 0.0 if self.time is None or len(self) < 2 else float(np.median(np.diff(self.time)))
+
+    def without_coasting(self) -> tuple[OperatingData, int]:
+        """Return the samples without those of an inverter that is switched off, and how many these are.
+
+        Then neither current nor voltage is given while the rotor turns, which induces a voltage that nobody recorded.
+        """
+        current, voltage, speed = np.hypot(*self.i_dq.T), np.hypot(*self.u_dq.T), np.abs(self.speed)
+        off = (current < _OFF * current.max()) & (voltage < _OFF * voltage.max()) & (speed > _TURNING * speed.max())
+        if not off.any() or off.all():
+            return self, 0
+        kept = {
+            name: None if (values := getattr(self, name)) is None else values[~off]
+            for name in ("i_dq", "u_dq", "speed", "time", "winding_temperature")
+        }
+        return replace(self, **kept), int(off.sum())
 
     @property
     def duration(self) -> float:

@@ -1,14 +1,17 @@
-"""Named arrays: MATLAB files of version 5 by scipy, and HDF5 (MATLAB 7.3 among them) by h5py."""
+"""Named arrays: NumPy's ``.npz``, MATLAB files of version 5 by scipy, and HDF5 (MATLAB 7.3 among them) by h5py."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.errors import TruncatedBagError
+from drive_id.errors import NotABagError, TruncatedBagError
+from drive_id.files.inputs.archive import read_arrays
+from drive_id.files.inputs.input_file import open_input
 from drive_id.files.inputs.matlab import read_matlab
 from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, SlicedLog
 from drive_id.files.storage.container import UnpackBudget
@@ -18,19 +21,57 @@ _NAMED_DATA = (("Name", "Data"), ("label", "values"))
 """Fields that hold name and values in the structs of measurement tools."""
 
 
-class MatLog(SlicedLog):
-    """A MATLAB file of version 5, held in memory as a whole; fields of structs are ``log.i_a``."""
+class _HeldLog(SlicedLog):
+    """Named arrays, held in memory as a whole; column k of a matrix is ``i[k]``."""
 
-    kind = "mat"
     bounded = False
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, arrays: Mapping[str, Any]) -> None:
         self.path = path
         self._arrays: dict[str, NDArray[Any]] = {}
-        for name, value in read_matlab(path, limit=UnpackBudget(path.stat().st_size).limit).items():
-            if not name.startswith("__"):
-                self._take(name, value)
+        for name, value in arrays.items():
+            self._take(name, value)
         self.groups = grouped({name: (str(array.dtype), len(array)) for name, array in self._arrays.items()})
+
+    def _take(self, name: str, value: Any) -> None:
+        array = np.asarray(value)
+        if array.dtype.names:
+            for field in array.dtype.names:
+                self._take(f"{name}.{field}", array[field])
+            return
+        if array.dtype.kind not in NUMBERS or array.ndim not in (1, 2):
+            return
+        if array.ndim == 1:
+            self._arrays[name] = array
+            return
+        rows = array if array.shape[0] >= array.shape[1] else array.T
+        for k in range(min(rows.shape[1], _MOST_COLUMNS)):
+            self._arrays[f"{name}[{k}]"] = rows[:, k]
+
+    def _slice(self, column: Column, at: slice) -> NDArray[Any]:
+        return self._arrays[column.name][at]
+
+
+class NpzLog(_HeldLog):
+    """A file of ``numpy.savez``; fields of structured arrays are ``log.i_a``."""
+
+    kind = "npz"
+
+    def __init__(self, path: Path) -> None:
+        with open_input(path) as stream:
+            super().__init__(path, read_arrays(stream))
+
+
+class MatLog(_HeldLog):
+    """A MATLAB file of version 5; fields of structs are ``log.i_a``."""
+
+    kind = "mat"
+
+    def __init__(self, path: Path) -> None:
+        found = read_matlab(path, limit=UnpackBudget(path.stat().st_size).limit)
+        super().__init__(path, {name: value for name, value in found.items() if not name.startswith("__")})
+        if not self.groups and any(_is_opaque(value) for value in found.values()):
+            raise _table_error(path)
 
     def _take(self, name: str, value: Any) -> None:
         if hasattr(value, "_fieldnames"):
@@ -41,14 +82,8 @@ class MatLog(SlicedLog):
             for k, entry in enumerate(array.ravel()[:_MOST_COLUMNS]):
                 self._take_struct(f"{name}[{k}]", entry, name)
             return
-        if array.dtype.kind not in NUMBERS or array.ndim not in (1, 2):
-            return
-        if array.ndim == 1:
-            self._arrays[name] = array
-            return
-        rows = array if array.shape[0] >= array.shape[1] else array.T
-        for k in range(min(rows.shape[1], _MOST_COLUMNS)):
-            self._arrays[f"{name}[{k}]"] = rows[:, k]
+        if not _is_opaque(value):
+            super()._take(name, value)
 
     def _take_struct(self, name: str, value: Any, array: str = "") -> None:
         """Add the fields of a struct, which is an element of the array of structs ``array`` if that is given.
@@ -66,8 +101,17 @@ class MatLog(SlicedLog):
         for field, entry in fields.items():
             self._take(f"{name}.{field}", entry)
 
-    def _slice(self, column: Column, at: slice) -> NDArray[Any]:
-        return self._arrays[column.name][at]
+
+def _is_opaque(value: Any) -> bool:
+    """Tell whether a variable is an object of MATLAB, such as a table, whose content scipy does not show."""
+    return bool({"s0", "s1", "s2"} <= set(getattr(getattr(value, "dtype", None), "names", None) or ()))
+
+
+def _table_error(path: Path) -> NotABagError:
+    return NotABagError(
+        f"{path} holds a table, timetable or another object, which only MATLAB reads: save a struct instead, "
+        "s = table2struct(T, 'ToScalar', true)."
+    )
 
 
 class Hdf5Log(SlicedLog):
@@ -99,6 +143,9 @@ class Hdf5Log(SlicedLog):
             self._file.close()
             raise
         self.groups = grouped(self._lengths)
+        if matlab and not self.groups and "#subsystem#" in self._file:
+            self._file.close()
+            raise _table_error(path)
 
     def _take(self, dataset: str, name: str, item: Any) -> None:
         def add(own: str, kind: Any, k: int | None = None, axis: int = 0) -> None:

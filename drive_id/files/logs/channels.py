@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -63,12 +64,18 @@ class MdfLog(_StreamLog):
             seconds = self._file.get_master(number, record_offset=at.start, record_count=count)
             with np.errstate(invalid="ignore", over="ignore"):  # damaged stamps become values out of range
                 return np.rint(np.asarray(seconds, np.longdouble) * 1_000_000_000).astype(np.int64)
-        signal = self._file.get(group=number, index=self._channels[column], record_offset=at.start, record_count=count)
-        return np.asarray(signal.samples)
+        signal = self._file.get(
+            group=number, index=self._channels[column], record_offset=at.start, record_count=count,
+            ignore_invalidation_bits=True,
+        )  # fmt: skip
+        values, invalid = np.asarray(signal.samples), signal.invalidation_bits
+        if invalid is None or not np.any(invalid) or values.dtype.kind not in NUMBERS:
+            return values
+        return np.where(np.asarray(invalid, np.bool_), np.nan, values)  # missing, as a blank cell of a table
 
 
 class TdmsLog(_StreamLog):
-    """A TDMS file; a group has its own time if its channels are waveforms."""
+    """A TDMS file; waveforms have their own time. A group is divided if its channels begin at different times."""
 
     kind = "tdms"
 
@@ -78,24 +85,61 @@ class TdmsLog(_StreamLog):
 
         log_manager.set_level(logging.CRITICAL)  # the reader itself reports missing data of truncated files
         self._open(path, TdmsFile.open)
-        groups = []
-        for group in self._file.groups():
-            columns, rows, timed = {}, 0, False
-            for channel in group.channels():
-                if channel.dtype is not None and np.dtype(channel.dtype).kind in f"{NUMBERS}M":
-                    columns[channel.name] = str(np.dtype(channel.dtype))
-                    rows = max(rows, len(channel))
-                    timed = timed or "wf_increment" in channel.properties
-            groups.append(ColumnGroup(group.name, columns, rows, timed))
-        self.groups = tuple(groups)
+        self._channels: dict[Column, Any] = {}
+        self._timing: dict[str, _Timing] = {}
+        channels = [channel for group in self._file.groups() for channel in group.channels() if _holds_numbers(channel)]
+        starts = [x for channel in channels if (x := _start_time(channel)) is not None]
+        first = min(starts, default=np.datetime64(0, "ns"))
+        members: dict[tuple[str, _Timing | None], list[Any]] = {}
+        for channel in channels:
+            members.setdefault((channel.group_name, _Timing.of(channel, first)), []).append(channel)
+        self.groups = tuple(self._group(name, timing, found) for (name, timing), found in members.items())
+
+    def _group(self, name: str, timing: _Timing | None, channels: list[Any]) -> ColumnGroup:
+        """Return the channels of a group that begin at one time."""
+        taken = {column.group for column in self._channels}
+        own = name
+        if timing is not None and own in taken:
+            own = f"{name} (from {timing.start * 1e-9:.9g} s, every {timing.step:.6g} s)"
+        own = own if own not in taken else f"{name} ({len(taken)})"
+        if timing is not None:
+            self._timing[own] = timing
+        self._channels |= {Column(own, channel.name): channel for channel in channels}
+        columns = {channel.name: str(np.dtype(channel.dtype)) for channel in channels}
+        return ColumnGroup(own, columns, max(map(len, channels)), timing is not None, name if own != name else "")
 
     def _slice(self, column: Column, at: slice) -> NDArray[Any]:
-        group = self._file[column.group]
         if column.name == OWN_TIME:
-            channel = next(item for item in group.channels() if "wf_increment" in item.properties)
-            start = float(channel.properties.get("wf_start_offset", 0.0))
-            step = float(channel.properties["wf_increment"])
+            timing = self._timing[column.group]
             with np.errstate(invalid="ignore", over="ignore"):  # likewise
-                return np.rint((start + np.arange(at.start, at.stop) * step) * 1e9).astype(np.int64)
-        found = np.asarray(group[column.name][at.start : at.stop])
+                steps = np.rint(np.arange(at.start, at.stop) * (timing.step * 1e9))
+                return (timing.start + steps).astype(np.int64)
+        found = np.asarray(self._channels[column][at.start : at.stop])
         return found.astype("datetime64[ns]").astype(np.int64) if found.dtype.kind == "M" else found
+
+
+@dataclass(frozen=True)
+class _Timing:
+    """Time of the samples of a waveform."""
+
+    start: float  # ns, after the first channel of the file
+    step: float  # s
+
+    @classmethod
+    def of(cls, channel: Any, first: np.datetime64) -> _Timing | None:
+        """Return the time of a channel by its properties; None if it is no waveform."""
+        if "wf_increment" not in channel.properties:
+            return None
+        start = _start_time(channel)
+        since = 0.0 if start is None else float((start - first) / np.timedelta64(1, "ns"))
+        offset = float(channel.properties.get("wf_start_offset", 0.0))
+        return cls(since + np.rint(offset * 1e9), float(channel.properties["wf_increment"]))
+
+
+def _start_time(channel: Any) -> np.datetime64 | None:
+    start = channel.properties.get("wf_start_time")
+    return start.astype("datetime64[ns]") if isinstance(start, np.datetime64) and not np.isnat(start) else None
+
+
+def _holds_numbers(channel: Any) -> bool:
+    return channel.dtype is not None and np.dtype(channel.dtype).kind in f"{NUMBERS}M"

@@ -25,7 +25,10 @@ _NUMBER = 8
 """Bytes."""
 _NAMES = {
     "csv": "CSV",
+    "jsonl": "JSON lines",
+    "npz": "NumPy .npz",
     "parquet": "Parquet",
+    "feather": "Feather",
     "tdms": "TDMS",
     "mdf": "MDF",
     "mat": "MATLAB",
@@ -43,6 +46,7 @@ class ColumnGroup:
     columns: dict[str, str]  # name to type, such as float64
     rows: int | None  # None where a file does not tell without being read
     own_time: bool = False  # the container itself knows the time of the rows
+    part_of: str = ""  # name of the container's group, where its channels begin at different times
 
 
 class Column(NamedTuple):
@@ -149,7 +153,7 @@ def find_column(log: ColumnLog, name: str, group: str, wanted_for: str) -> Colum
     """
     if not log.groups:
         raise MissingTopicError(f"{log.path} holds no column of numbers: give a log that does.")
-    near = [entry for entry in log.groups if not group or same_name(entry.name, group)]
+    near = [entry for entry in log.groups if not group or any(same_name(x, group) for x in (entry.name, entry.part_of))]
     if not near and any(same_name(known, f"{group}.{name}") for entry in log.groups for known in entry.columns):
         near, name = list(log.groups), f"{group}.{name}"  # the group is a struct
     if not near:

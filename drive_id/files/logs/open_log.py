@@ -7,7 +7,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 from drive_id.errors import NotABagError
-from drive_id.files.logs.arrays import Hdf5Log, MatLog
+from drive_id.files.logs.arrays import Hdf5Log, MatLog, NpzLog
 from drive_id.files.logs.channels import MdfLog, TdmsLog
 from drive_id.files.logs.column_log import ColumnLog, one_sentence
 from drive_id.files.logs.log_kind import log_kind
@@ -21,7 +21,9 @@ def open_log(path: Path) -> Iterator[ColumnLog]:
     """
     kind = log_kind(path)
     if not kind:
-        raise NotABagError(f"{path} is neither a bag nor a CSV, Parquet, MATLAB, MDF, TDMS or HDF5 file: check it.")
+        raise NotABagError(
+            f"{path} is no bag, text table, Parquet, Feather, NumPy, MATLAB, MDF, TDMS or HDF5 file: export it as CSV."
+        )
     with one_sentence(path, kind):
         log = _opened(path, kind)
     with closing(log):
@@ -29,12 +31,14 @@ def open_log(path: Path) -> Iterator[ColumnLog]:
 
 
 def _opened(path: Path, kind: str) -> ColumnLog:
-    if kind in ("csv", "parquet"):
-        from drive_id.files.logs.tables import CsvLog, ParquetLog  # noqa: PLC0415  # pandas takes a second to load
+    if kind in ("csv", "jsonl", "parquet", "feather"):
+        from drive_id.files.logs.tables import ArrowLog, CsvLog, JsonLog  # noqa: PLC0415  # pandas takes a second to load
 
-        return CsvLog(path) if kind == "csv" else ParquetLog(path)
+        return {"csv": CsvLog, "jsonl": JsonLog}[kind](path) if kind in ("csv", "jsonl") else ArrowLog(path, kind)
     if kind == "mat":
         return MatLog(path)
+    if kind == "npz":
+        return NpzLog(path)
     if kind in ("mat73", "hdf5"):
         return Hdf5Log(path, matlab=kind == "mat73")
     return MdfLog(path) if kind == "mdf" else TdmsLog(path)

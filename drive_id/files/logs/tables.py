@@ -1,12 +1,13 @@
-"""CSV by pandas, and Parquet by pyarrow: one table, read part by part."""
+"""Tables that pandas and pyarrow read part by part: text, lines of JSON, Parquet and Feather."""
 
 from __future__ import annotations
 
-import csv
+import json
 import re
-from collections import Counter
+from abc import abstractmethod
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from contextlib import ExitStack
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -15,47 +16,78 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from drive_id.errors import MessageTypeError
-from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, ColumnLog, Rows
-from drive_id.files.logs.log_kind import UTF_16
+from drive_id.files.inputs.input_file import open_input
+from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, ColumnLog, Rows
+from drive_id.files.logs.csv_dialect import INFINITE, CsvDialect, csv_dialect
+from drive_id.files.logs.log_kind import text_stream
+from drive_id.files.storage.container import UnpackBudget
 
-WHITE = r"\s+"
-_DELIMITERS = ("\t", ";", ",", "|", WHITE)
 _CLOCK = re.compile(r"\s*\d{1,3}:\d\d(:\d\d)?([.,]\d+)?\s*")
 _DATES = ("ISO8601", "%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S")
-_HEAD = 1 << 16  # bytes that tell how a table is written
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
 """Pandas 3 reads every digit without being asked."""
-_LAST = 50
-"""Lines from which the number of columns is determined."""
-_NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?)\s*", re.IGNORECASE)
+_FIRST_LINES = 1000
+"""Lines of JSON that tell the names."""
+_LONGEST_LIST = 16  # numbers of a list in a line of JSON that are columns of their own
+_FILETIME_1970 = 116_444_736_000_000_000
+"""100 ns from 1601 to 1970."""
 
 
-@dataclass(frozen=True)
-class CsvDialect:
-    """How a text file writes its table."""
+class FrameLog(ColumnLog):
+    """A table that a library hands over as frames of pandas."""
 
-    delimiter: str  # WHITE for any white space
-    decimal: str
-    header: int  # line of the names, from 0
-    skipped: tuple[int, ...]  # lines below it that hold no numbers, such as units
-    names: tuple[str, ...]
-    encoding: str = "utf-8-sig"
+    _decimal = "."
+
+    def _parts(self, wanted: Sequence[Column], rows: int) -> Iterator[Rows]:
+        names = list(dict.fromkeys(column.name for column in wanted if column.name != OWN_TIME))
+        for frame, share in self._frames(names, rows):
+            values = {
+                column: _numbers(frame[column.name], column.name, self.path, self._decimal)
+                for column in wanted
+                if column.name != OWN_TIME
+            }
+            yield Rows(values, share)
+
+    @abstractmethod
+    def _frames(self, names: list[str], rows: int) -> Iterator[tuple[Any, float]]:
+        """Yield some rows of these columns at a time, and the share of the file that has been read."""
 
 
-class CsvLog(ColumnLog):
-    """A text file with one row per sample and the names of the columns above."""
+class CsvLog(FrameLog):
+    """A text file with one row per sample and the names of the columns above, plain or packed."""
 
     kind = "csv"
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._dialect = csv_dialect(path)
-        self.groups = (ColumnGroup("", dict.fromkeys(self._dialect.names, "number"), None),)
+        self._dialect = dialect = csv_dialect(path)
+        self._decimal = dialect.decimal
+        every = [k for k in range(len(dialect.names)) if k not in dialect.blank]
+        self.groups = tuple(
+            ColumnGroup(name, {dialect.names[k]: _type(dialect, k) for k in columns}, None, dialect.period is not None)
+            for name, columns in dialect.groups or (("", every),)
+        )
 
     def _parts(self, wanted: Sequence[Column], rows: int) -> Iterator[Rows]:
+        """Yield the wanted columns; the time of a file that declares only its period is that of the row's number."""
+        own, period = [column for column in wanted if column.name == OWN_TIME], self._dialect.period
+        if not own or not period:
+            yield from super()._parts(wanted, rows)
+            return
+        read = 0
+        others = [column for column in wanted if column.name != OWN_TIME]
+        first = Column(self.groups[0].name, next(iter(self.groups[0].columns)))
+        for part in super()._parts(others or [first], rows):
+            count = len(next(iter(part.values.values())))
+            stamp = np.rint(np.arange(read, read + count) * (period * 1e9)).astype(np.int64)
+            read += count
+            yield Rows({**part.values, **dict.fromkeys(own, stamp)}, part.progress)
+
+    def _frames(self, names: list[str], rows: int) -> Iterator[tuple[Any, float]]:
         dialect, size = self._dialect, max(self.path.stat().st_size, 1)
-        numbers = {column: dialect.names.index(column.name) for column in wanted}
-        with self.path.open("rb") as stream:
+        numbers = {dialect.names.index(name): name for name in names}
+        budget = UnpackBudget(size)
+        with text_stream(self.path) as (stream, file):
             chunks = pd.read_csv(
                 stream,
                 sep=dialect.delimiter,
@@ -63,122 +95,140 @@ class CsvLog(ColumnLog):
                 header=None,
                 names=list(range(len(dialect.names))),
                 skiprows=[*range(dialect.header + 1), *dialect.skipped],
-                usecols=sorted(set(numbers.values())),
+                usecols=sorted(numbers),
                 chunksize=rows,
                 skipinitialspace=True,
                 encoding=dialect.encoding,
                 encoding_errors="replace",
                 index_col=False,
+                na_values=list(INFINITE),
                 **_EXACT,
             )
+            before = 0
             for chunk in chunks:
-                values = {column: _numbers(chunk[k], column.name, self.path) for column, k in numbers.items()}
-                yield Rows(values, min(stream.tell() / size, 1.0))
+                budget.take(stream.tell() - before)
+                before = stream.tell()
+                for k in set(dialect.ticks) & set(numbers):
+                    chunk[k] = (pd.to_numeric(chunk[k], errors="coerce") - _FILETIME_1970) * 100
+                yield chunk.rename(columns=numbers), min(file.tell() / size, 1.0)
 
 
-class ParquetLog(ColumnLog):
-    """A Parquet file."""
+def _type(dialect: CsvDialect, k: int) -> str:
+    """Return the type of a column, with its unit if the file gives it: ``number [ms]``."""
+    return f"number [{dialect.units[k]}]" if dialect.units and dialect.units[k] else "number"
 
-    kind = "parquet"
+
+class JsonLog(FrameLog):
+    """A text file with one JSON object per line; inner fields are ``header.stamp.sec``, numbers of lists ``i[0]``."""
+
+    kind = "jsonl"
 
     def __init__(self, path: Path) -> None:
-        from pyarrow.parquet import ParquetFile  # noqa: PLC0415  # text needs only pandas
-
         self.path = path
-        self._file = ParquetFile(path)
-        schema = self._file.schema_arrow
+        first = next(self._records(_FIRST_LINES), (pd.DataFrame(), 0.0))[0]
+        self.groups = (ColumnGroup("", dict.fromkeys(first.columns, "number"), None),)
+
+    def _frames(self, names: list[str], rows: int) -> Iterator[tuple[Any, float]]:
+        for frame, share in self._records(rows):
+            yield frame.reindex(columns=names), share
+
+    def _records(self, rows: int) -> Iterator[tuple[Any, float]]:
+        size = max(self.path.stat().st_size, 1)
+        budget = UnpackBudget(size)
+        with text_stream(self.path) as (stream, file):
+            while lines := list(islice(stream, rows)):
+                budget.take(sum(map(len, lines)))
+                try:
+                    entries = [json.loads(line.decode("utf-8-sig")) for line in lines if line.strip()]
+                except ValueError as error:
+                    raise MessageTypeError(
+                        f"{self.path} has no JSON object in each line ({error}): write one a line, or a CSV file."
+                    ) from error
+                yield (
+                    _flat(pd.json_normalize([entry for entry in entries if isinstance(entry, dict)])),
+                    min(file.tell() / size, 1.0),
+                )
+
+
+class ArrowLog(FrameLog):
+    """A Parquet or Feather file."""
+
+    def __init__(self, path: Path, kind: str) -> None:
+        self.path = path
+        self.kind = kind
+        with ExitStack() as stack:
+            stream = stack.enter_context(open_input(path))
+            if kind == "parquet":
+                from pyarrow.parquet import ParquetFile  # noqa: PLC0415  # text needs only pandas
+
+                self._arrow: Any = ParquetFile(stream)
+                schema, rows = self._arrow.schema_arrow, self._arrow.metadata.num_rows
+            else:
+                from pyarrow import ipc  # noqa: PLC0415  # likewise
+
+                self._arrow, rows = ipc.open_file(stream), None
+                schema = self._arrow.schema
+            self._open = stack.pop_all()
         columns = {name: str(kind) for name, kind in zip(schema.names, schema.types, strict=True)}
-        self.groups = (ColumnGroup("", columns, self._file.metadata.num_rows),)
+        self.groups = (ColumnGroup("", columns, rows),)
 
-    def _parts(self, wanted: Sequence[Column], rows: int) -> Iterator[Rows]:
-        total, done = max(self._file.metadata.num_rows, 1), 0
-        names = list(dict.fromkeys(column.name for column in wanted))
-        for batch in self._file.iter_batches(batch_size=rows, columns=names):
-            done += batch.num_rows
-            found = {column: batch.column(column.name).to_pandas() for column in wanted}
-            yield Rows({column: _numbers(x, column.name, self.path) for column, x in found.items()}, done / total)
+    def close(self) -> None:
+        """Release the file."""
+        self._open.close()
+
+    def _frames(self, names: list[str], rows: int) -> Iterator[tuple[Any, float]]:
+        if self.kind == "parquet":
+            total, done = max(self._arrow.metadata.num_rows, 1), 0
+            for batch in self._arrow.iter_batches(batch_size=rows, columns=names):
+                done += batch.num_rows
+                yield batch.to_pandas(), done / total
+            return
+        count = self._arrow.num_record_batches
+        for k in range(count):
+            batch = self._arrow.get_batch(k).select(names)
+            for start in range(0, batch.num_rows, rows):
+                yield batch.slice(start, rows).to_pandas(), (k + 1) / count
 
 
-def _numbers(found: Any, name: str, path: Path) -> NDArray[Any]:
+def _flat(frame: Any) -> Any:
+    """Return a frame in which the numbers of short lists are columns of their own."""
+    for name in list(frame.columns):
+        lists = frame[name].map(lambda entry: isinstance(entry, list))
+        if not lists.any():
+            continue
+        width = min(int(frame.loc[lists, name].map(len).max()), _LONGEST_LIST)
+        for k in range(width):
+            frame[f"{name}[{k}]"] = frame[name].map(
+                lambda entry, k=k: entry[k] if isinstance(entry, list) and len(entry) > k else np.nan
+            )
+        frame = frame.drop(columns=name)
+    return frame
+
+
+def _numbers(found: Any, name: str, path: Path, decimal: str) -> NDArray[Any]:
     """Return dates as ns, and numbers also from texts; raises MessageTypeError when they are neither."""
     if found.dtype.kind in NUMBERS:
         return np.asarray(found)
     if found.dtype.kind == "M":
         return np.asarray(found.astype("datetime64[ns]").astype(np.int64))
-    numbers = pd.to_numeric(found, errors="coerce")
+    pointed = found if decimal == "." else found.astype(str).str.replace(decimal, ".")
+    numbers = pd.to_numeric(pointed, errors="coerce")
     if numbers.notna().mean() > 0.5:
         return np.asarray(numbers, np.float64)
-    texts = found.astype(str).str.strip()
+    texts = found.dropna().astype(str).str.strip()
     if texts.map(lambda text: _CLOCK.fullmatch(text) is not None).all():
         spans = pd.to_timedelta(
             texts.str.replace(",", ".").map(lambda text: text if text.count(":") > 1 else f"0:{text}")
         )
-        return np.asarray(spans.astype("timedelta64[ns]").astype(np.int64))
+        return _whole(spans.astype("timedelta64[ns]").astype(np.int64), found)
     for form in _DATES:
         dates = pd.to_datetime(texts.str.replace(",", "."), errors="coerce", utc=True, format=form)
         if dates.notna().all():
-            return np.asarray(dates.dt.tz_localize(None).astype("datetime64[ns]").astype(np.int64))
-    raise MessageTypeError(
-        f"Column '{name}' of {path} holds no numbers, such as '{found.iloc[0]!s:.40}': name another."
-    )
+            return _whole(dates.dt.tz_localize(None).astype("datetime64[ns]").astype(np.int64), found)
+    example = next(iter(texts), "")
+    raise MessageTypeError(f"Column '{name}' of {path} holds no numbers, such as '{example:.40}': name another.")
 
 
-def csv_dialect(path: Path) -> CsvDialect:
-    """Tell delimiter, decimal sign and header from the first lines.
-
-    Raises MessageTypeError when there is no table with names above.
-    """
-    with path.open("rb") as stream:
-        head = stream.read(_HEAD)
-    encoding = "utf-16" if head.startswith(UTF_16) else "utf-8-sig"
-    text = head.decode(encoding, errors="replace")
-    lines = text.splitlines()[:200]
-    lines = lines[:-1] if len(head) >= _HEAD and len(lines) < 200 else lines
-    for delimiter in _DELIMITERS:
-        found = _table([_cells(line, delimiter) for line in lines], delimiter)
-        if found is not None:
-            return replace(found, encoding=encoding)
-    names, first = (len(_cells(line, ",")) for line in (*lines, "", "")[:2])
-    if first > names > 1:
-        raise MessageTypeError(
-            f"{path} has {first} cells below {names} names, as if commas separated columns and were decimal signs as "
-            "well: write decimal points, or separate columns by semicolons."
-        )
-    raise MessageTypeError(
-        f"{path} is not a table of numbers below a line with the names of its columns: add such a line."
-    )
-
-
-def _cells(line: str, delimiter: str) -> list[str]:
-    if delimiter == WHITE:
-        return line.split()
-    return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [])
-
-
-def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
-    """Return the dialect if these rows, divided by the delimiter, end in numbers below a row of names."""
-    widths = [len(row) for row in rows if any(cell.strip() for cell in row)]
-    if not widths or max(widths) < 2:
-        return None
-    usual = Counter(widths[-_LAST:]).most_common(1)[0][0]  # settings above the table may look like rows, too
-    numeric = [_is_numeric(row) and len(row) == max(usual, 2) for row in rows]
-    first = next((k for k, good in enumerate(numeric) if good and all(numeric[k : k + 3])), None)
-    if first is None or not first:
-        return None
-    width = len(rows[first])
-    above = [k for k in range(first) if len(rows[k]) == width and all(cell.strip() for cell in rows[k][1:-1])]
-    if not above:
-        return None
-    header = above[0] if len(above) > 1 and first - above[0] <= len(above) else above[-1]
-    names = [cell.strip() or f"column {k + 1}" for k, cell in enumerate(rows[header])]
-    names[0] = names[0].lstrip("#% ")
-    unique = tuple(name if name not in names[:k] else f"{name} ({k + 1})" for k, name in enumerate(names))
-    comma = delimiter != "," and any("," in cell for row in rows[first : first + 20] for cell in row)
-    return CsvDialect(delimiter, "," if comma else ".", header, tuple(range(header + 1, first)), unique)
-
-
-def _is_numeric(row: list[str]) -> bool:
-    """Tell whether a row holds numbers, perhaps beside a date and empty cells."""
-    cells = [cell for cell in row if cell.strip()]
-    numbers = sum(bool(_NUMBER.fullmatch(cell)) for cell in cells)
-    return numbers >= max(len(cells) - 1, 1)
+def _whole(times: Any, found: Any) -> NDArray[Any]:
+    """Return times (n,) of a column, NaN where it is blank."""
+    return np.asarray(times if len(times) == len(found) else times.reindex(found.index).astype(np.float64))

@@ -60,7 +60,7 @@ def decoder(topic: TopicInfo, signals: SignalMap) -> Callable[[bytes | memoryvie
     if topic.encoding not in ("cdr", "ros1"):
         raise MessageTypeError(
             f"{topic.name} is encoded as '{topic.encoding}', not as CDR, ROS 1 or JSON: record it with ROS 2, or "
-            "convert the bag."
+            "write its messages as JSON or CSV."
         )
     from rosbags.serde import SerdeError  # noqa: PLC0415  # not needed for bags of our own messages
 

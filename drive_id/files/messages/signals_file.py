@@ -42,6 +42,8 @@ _MOST_ENTRIES = 10_000  # aliases followed
 DEFAULTS = "defaults"
 """Section with what all others share: topic or group, stamps and sample period."""
 _TIME = tuple(item.name for item in fields(TimeSource))
+_GUESS = re.compile(r"^[ \t]*(sample_period|scale|pole_pairs):[ \t]*([^#\s]+)[ \t]*#[ \t]*EDIT", re.MULTILINE)
+"""A setting to which the result is proportional, with the mark by which a draft says that it is a guess."""
 _NESTED: dict[type, tuple[str, ...]] = {
     PhaseSource: ("scale",),
     RotorSource: ("speed",),
@@ -65,7 +67,7 @@ def read_signals(path: Path) -> SignalMap:
 def parse_signals(text: str, where: str) -> SignalMap:
     """Parse the text of a signals file; see :func:`read_signals`."""
     tree, lines = _parsed_yaml(text, where)
-    known = (*(item.name for item in fields(SignalMap)), DEFAULTS)
+    known = (*(item.name for item in fields(SignalMap) if item.name != "guessed"), DEFAULTS)
     for name in tree:
         if name not in known:
             raise ConfigurationError(
@@ -92,6 +94,7 @@ def parse_signals(text: str, where: str) -> SignalMap:
             f"typestore in {where} is '{values['typestore']}': it must be one of {', '.join(TYPESTORES)}."
         )
     values["definitions"] = _definitions(tree.get("definitions", {}), where)
+    values["guessed"] = tuple(dict.fromkeys(f"{name}: {value}" for name, value in _GUESS.findall(text)))
     return SignalMap(**values)
 
 

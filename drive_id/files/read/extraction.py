@@ -44,7 +44,7 @@ class LogSignals:
     """The signals of one drive in an open log; its kinds say how the samples are read.
 
     ``sources``, and ``topics`` or what stands for them, are by section of the signal map; ``required`` must hold
-    samples.
+    samples. With ``blanks``, a row in which a value of a signal is missing is a missing sample.
     """
 
     def __init__(
@@ -54,6 +54,8 @@ class LogSignals:
         sources: dict[str, TimeSource],
         topics: dict[str, TopicInfo],
         required: Iterable[str],
+        *,
+        blanks: bool = False,
     ) -> None:
         self._path = path
         self._signals = signals
@@ -61,7 +63,8 @@ class LogSignals:
         self.topics = topics
         self._required = [section for section in required if section not in INTERPOLATED]
         self._builders = {
-            section: SignalBuilder(topics[section].name, section, source) for section, source in sources.items()
+            section: SignalBuilder(topics[section].name, section, source, blanks=blanks)
+            for section, source in sources.items()
         }
 
     @property
@@ -104,12 +107,12 @@ class LogSignals:
         self._refuse_empty(seen)
 
     def remarks(self) -> tuple[Message, ...]:
-        """Return how the time of the signals was found; after :meth:`whole`."""
-        found: dict[str, Message] = {}
+        """Return how the time of the signals was found, and what is missing in them; after all has been read."""
+        found: dict[tuple[str, str], Message] = {}
         for builder in self._builders.values():
             spacing, topic = builder.spacing, builder.topic
-            if spacing is not None and topic not in found:
-                found[topic] = Message(
+            if spacing is not None:
+                said = Message(
                     "equally_spaced",
                     topic=topic,
                     period=spacing.period,
@@ -118,6 +121,10 @@ class LogSignals:
                     gaps=spacing.gaps,
                     counted=bool(builder.source.first_sample),
                 )
+                found.setdefault((said.code, topic), said)
+            if builder.blank:
+                said = Message("values_missing", samples=builder.blank, topic=topic)
+                found.setdefault((said.code, topic), said)
         return tuple(found.values())
 
     def _refuse_empty(self, seen: Collection[str]) -> None:
@@ -177,7 +184,7 @@ class SignalStream(LogSignals):
 class SignalBuilder:
     """Puts the pieces of one signal together in order of arrival, all at once or part by part."""
 
-    def __init__(self, topic: str, section: str, source: TimeSource) -> None:
+    def __init__(self, topic: str, section: str, source: TimeSource, *, blanks: bool = False) -> None:
         self.topic = topic
         self.section = section
         self.source = source
@@ -185,6 +192,9 @@ class SignalBuilder:
         """As declared by the first piece, s."""
         self.spacing: EqualSpacing | None = None
         """Of equally spaced samples, once built."""
+        self.blank = 0
+        """Samples left out because a value is missing."""
+        self._blanks = blanks
         self._begun = False
         self._count = SampleCount()
         self._read = 0
@@ -218,6 +228,12 @@ class SignalBuilder:
             np.concatenate([piece.columns[k] for piece in pieces]).astype(np.float64)
             for k in range(len(pieces[0].columns))
         ]
+        if self._blanks:
+            there = np.isfinite(columns).all(axis=0)
+            if there.any() and not there.all():
+                self.blank += int((~there).sum())
+                stamp, columns = stamp[there], [column[there] for column in columns]
+                start = np.arange(len(stamp))
         self._unwrap_angle(columns)
         values = self.source.in_si_units(columns)
         stamp += int(np.rint(self.source.stamp_offset * 1e9))

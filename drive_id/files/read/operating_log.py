@@ -71,8 +71,9 @@ def read_operating_log(path: Path, signals: SignalMap | None = None, *, namespac
         data, last_stamp = _joined(found, known)
     except DataError as error:
         raise type(error)(f"In {path}: {error}") from error
-    data = data if timed else replace(data, time=None)
-    return OperatingLog(data, None, digests, last_stamp if timed else 0, warnings)
+    data, off = (data if timed else replace(data, time=None)).without_coasting()
+    said = (Message("inverter_off", rows=off),) if off else ()
+    return OperatingLog(data, None, digests, last_stamp if timed else 0, (*warnings, *said))
 
 
 def _names_time(path: Path, signals: SignalMap) -> bool:

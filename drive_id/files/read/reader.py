@@ -35,6 +35,13 @@ _LOCKING_PAIRS = 1 << 17  # samples by which the offset between the signals is m
 _AHEAD = 2
 """Parts that another thread prepares."""
 
+_PROPORTIONAL = {
+    "sample_period": "flux linkages and inductances are proportional to it",
+    "scale": "R and all fluxes are proportional to it",
+    "pole_pairs": "the fluxes are inversely proportional to it",
+}
+"""What depends on a setting that was guessed."""
+
 Item = TypeVar("Item")
 
 
@@ -48,7 +55,8 @@ def read_signals_only(
     """
     with _opened(path, signals, namespace, angle=False) as (log, _, stream):
         found = stream.whole()
-        return found, {str(file): file_digest(file) for file in log.files}, (*log.warnings, *stream.remarks())
+        warnings = (*log.warnings, *stream.remarks(), *guesses(signals))
+        return found, {str(file): file_digest(file) for file in log.files}, warnings
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +98,14 @@ def bag_pieces(
                 for piece, progress in pieces:
                     yield piece
                     tell(progress)
-        end(BagFacts(truth, (*log.warnings, *warnings), log.checked))
+            warnings += stream.remarks()
+        end(BagFacts(truth, (*log.warnings, *warnings, *guesses(signals)), log.checked))
+
+
+def guesses(signals: SignalMap) -> Iterator[Message]:
+    """Yield the settings of a signals file that its draft guessed and nobody confirmed."""
+    for setting in signals.guessed:
+        yield Message("guessed_setting", setting=setting, what=_PROPORTIONAL[setting.partition(":")[0]])
 
 
 @contextmanager

@@ -7,7 +7,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from drive_id.errors import OutputError
@@ -21,6 +21,9 @@ LARGEST_MARKER = 1 << 23
 """Bytes."""
 _INFORMATION, _ZIP_MAGIC = ".info", b"PK"
 """Suffix and beginning of an information file."""
+_MOST_NAMED = 3  # files in a message
+_TAIL, _MEMBER = 1 << 12, b"header.npy"
+"""Last bytes of an information file, within which it names its last array, and that name; other zip files hold logs."""
 _STAGED = ".drive_id-"
 """How the names of folders begin in which files are written before they are put in their place."""
 
@@ -45,6 +48,32 @@ def check_output(directory: Path, *, force: bool = False, marker: str = MARKER, 
             )
     except OSError as error:
         raise _refused(directory, error) from error
+
+
+def check_recordings(directory: Path, inputs: Mapping[str, str], *, force: bool = False) -> None:
+    """Check that a folder holds no result of other recordings than ``inputs``, file to its sha256.
+
+    Raises OutputError when it does and ``force`` is not given, with what differs.
+    """
+    try:
+        tree = json.loads(read_text_input(directory / MARKER, LARGEST_MARKER))
+        earlier = {str(name): str(digest) for name, digest in tree["inputs"].items()}
+    except (OSError, ValueError, RecursionError, TypeError, KeyError, AttributeError):
+        return  # no result, or one that cannot be read
+    if force or not earlier or set(earlier.values()) == set(inputs.values()):
+        return
+    names, given = ([Path(name).name for name in known] for known in (earlier, inputs))
+    changed = sorted(set(names) & set(given)) if sorted(names) == sorted(given) else []
+    of = f"an earlier {_listed(changed)}" if changed else _listed(names)
+    raise OutputError(
+        f"The output folder {directory} holds the result of {of}, and not of {_listed(given) or 'these samples'}: give "
+        "another folder, or --force to replace it."
+    )
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:_MOST_NAMED])
+    return f"{shown} and {len(names) - _MOST_NAMED} others" if len(names) > _MOST_NAMED else shown
 
 
 def check_absent(path: Path) -> None:
@@ -194,7 +223,10 @@ def is_information(path: Path) -> bool:
         if not path.is_file():
             return path.suffix == _INFORMATION and not path.exists()
         with open_input(path) as file:
-            return path.suffix == _INFORMATION or file.read(2) == _ZIP_MAGIC
+            if path.suffix == _INFORMATION or file.read(2) != _ZIP_MAGIC:
+                return path.suffix == _INFORMATION
+            file.seek(max(0, file.seek(0, os.SEEK_END) - _TAIL))
+            return _MEMBER in file.read()
     except (OSError, ValueError):
         return False
 

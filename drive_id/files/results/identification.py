@@ -34,7 +34,7 @@ from drive_id.errors import DriveIdError, ResultError
 from drive_id.files.inputs.archive import DAMAGED, damage, npz_bytes, read_arrays
 from drive_id.files.inputs.input_file import read_input, read_text_input
 from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
-from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, is_ours, replace_folder
+from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, check_recordings, is_ours, replace_folder
 from drive_id.messages import Message
 from drive_id.origins import ORIGINS
 from drive_id.quantity import plain
@@ -91,9 +91,11 @@ def write_results(
 ) -> None:
     """Write the result files of a fit, pictures by their names beside them, and diagnostics for reports.
 
-    Results of an earlier fit in the folder are replaced; with ``force``, it may hold other files. Raises OutputError,
-    see :func:`~drive_id.files.results.folder.replace_folder`.
+    Results of an earlier fit of the same recordings are replaced; with ``force``, those of others, too, and the folder
+    may hold other files. Raises OutputError, see :func:`~drive_id.files.results.folder.replace_folder` and
+    :func:`~drive_id.files.results.folder.check_recordings`.
     """
+    check_recordings(directory, provenance.inputs, force=force)
     harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
     judged = {DIAGNOSTICS: diagnostics_bytes(diagnostics)} if diagnostics else {}
     found = {_NPZ: _flux_map(identification, provenance), **harmonics, **judged}

@@ -164,7 +164,10 @@ def open_storage(path: Path, shown: Path, stack: ExitStack, *, salvage: bool = F
             f"{shown} is empty: record it again, or recover the other files of its folder with 'drive-id recover'."
         )
     else:
-        raise NotABagError(f"{shown} is neither an MCAP nor a sqlite3 recording: give a rosbag2 file or folder.")
+        raise NotABagError(
+            f"{shown} is neither an MCAP nor a sqlite3 recording, nor another log that is read: give a "
+            "rosbag2 file or folder, or export the log as CSV or Parquet."
+        )
     stack.callback(storage.close)
     return storage
 
@@ -185,8 +188,8 @@ def storage_files(path: Path) -> tuple[tuple[Path, ...], BagMetadata | None]:
     for file in files:
         if not os.path.isfile(file):  # noqa: PTH113  # Path.is_file raises for names that the system refuses
             raise NotABagError(
-                f"metadata.yaml of {path} names {file.name[:80]}, which is not there: complete the folder, or rewrite "
-                "metadata.yaml with 'ros2 bag reindex'."
+                f"metadata.yaml of {path} names {file.name[:80]}, which is not there: copy it from its origin, or fit "
+                "what is left after 'drive-id recover'."
             )
     named = set(files)
     left = [entry.name for entry in present if entry not in named]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -17,10 +18,12 @@ from drive_id.files.inputs.yaml_tree import load_yaml
 from drive_id.files.storage.bag import present_files
 from drive_id.files.storage.container import MCAP_MAGIC, SQLITE_MAGIC, read_magic, unpack_file
 from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records
-from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, write_metadata
+from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, read_metadata, write_metadata
 from drive_id.files.write.rosbag2_writer import McapStream, whole_or_nothing
 
 _LIBRARY = "drive_id recover"
+_NUMBER = re.compile(r"_(\d+)\.mcap")
+"""Number of a file in its recording."""
 _CHUNK_SIZE = 512 * 1024  # bytes, as the recorder writes
 
 
@@ -81,8 +84,25 @@ def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Pa
         raise EmptyTopicError(f"{path} holds no message that could be recovered{said}")
     information = bag_information(list(topics.values()), entries, distro, None)
     write_metadata(folder, information)
+    damage += _missing(path, files, sum(entry.count for entry in entries))
     counts = {name: sum(entry.counts.get(name, 0) for entry in entries) for name in topics}
     return Recovery(output, counts, information["duration"]["nanoseconds"] * 1e-9, tuple(damage))
+
+
+def _missing(path: Path, files: tuple[Path, ...], messages: int) -> list[str]:
+    """Say which files of a folder are missing, by its metadata or else by the numbers in their names."""
+    there = {file.name for file in files}
+    try:
+        metadata = read_metadata(path / "metadata.yaml")
+    except NotABagError:  # none, or a damaged one
+        numbers = {int(found.group(1)) for name in there if (found := _NUMBER.search(name))}
+        gaps = sorted(set(range(min(numbers, default=0), max(numbers, default=0))) - numbers)
+        said = ", ".join(map(str, gaps))
+        return [f"{path}: by the numbers of its files, {said} {'are' if gaps[1:] else 'is'} missing."] if gaps else []
+    lost = sum(metadata.counts.values()) - messages
+    names = ", ".join(name for name in metadata.files if name not in there)
+    counted = f", with {lost} messages" if lost > 0 else ""
+    return [f"{path}: {names} is missing, which metadata.yaml names{counted}."] if names else []
 
 
 class _Copy:

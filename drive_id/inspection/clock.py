@@ -1,0 +1,96 @@
+"""The time of the rows of a table: the column that holds it, its unit, and stamps that go on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from drive_id.core.signals.equal_spacing import equal_spacing
+from drive_id.core.signals.restarts import Restarts
+from drive_id.files.logs.seconds import seconds_columns
+from drive_id.files.messages.signal_sources import STAMP_UNITS
+from drive_id.inspection.contents import Contents, Table
+from drive_id.inspection.names import suggests, time_unit
+from drive_id.types import FloatArray, IntArray
+
+FEWEST = 200
+"""Rows by which a column is recognized at least."""
+JITTER = 0.02
+"""Jitter of the stamps, by the period, from which they are replaced by equally spaced ones."""
+PERIODS = (5e-7, 0.05)
+"""Shortest and longest plausible sample period, s."""
+INDEX = "index"
+"""Stamp source for row numbers."""
+GUESSED_PERIOD = 1e-4
+"""Period that the draft assumes for a log without a time column, s."""
+_LONGEST = 2.0**62  # ns, which stamps hold
+_REGULAR = 1e-3
+"""Relative spread of the steps of a column that may be a time without a name."""
+_ONWARD = 0.9  # share of the steps of a time that do not run back
+_MOST_PER_STAMP = 0.02
+"""Share of all rows that may share one printed time: fewer digits tell no period."""
+_MEANINGS = ("angle", "speed", "current", "voltage", "reference")
+
+
+def timed(table: Table, contents: Contents) -> Table:
+    """Return a table of columns with stamps from the column that looks like its time."""
+    if len(table.stamp) or contents.is_bag:
+        return table
+    found = time_column(table)
+    if found is None:
+        return table
+    name, unit = found
+    values = table.columns[name]
+    stamp = np.rint((values - values[0]) * STAMP_UNITS[unit]).astype(np.int64)
+    both = seconds_columns(name, table.columns)
+    if both:
+        stamp += np.rint(table.columns[both[1]] - table.columns[both[1]][0]).astype(np.int64)
+    return replace(table, stamp=Restarts().continued(stamp), stamp_source=name)
+
+
+def numbered(table: Table) -> Table:
+    """Return a table without a time column with stamps from row numbers, at a guessed rate."""
+    rows = len(next(iter(table.columns.values()), ()))
+    return replace(table, stamp=np.arange(rows) * round(1e9 * GUESSED_PERIOD), stamp_source=INDEX)
+
+
+def regular_stamps(table: Table) -> IntArray:
+    """Return the stamps of a table, without jitter if they have much."""
+    period, jitter = table.period, table.jitter
+    if period is None or jitter is None or jitter < JITTER * period * table.block:
+        return table.stamp
+    return equal_spacing(table.stamp, np.ones(len(table.stamp), np.int64), name=table.name).stamp
+
+
+def time_column(table: Table) -> tuple[str, str] | None:
+    """Return the column that looks like the time, and its unit; None if none does."""
+    named = [(name, x) for name, x in table.columns.items() if suggests(name, "time")]
+    for name, x in named:
+        if len(x) < FEWEST or not np.isfinite(x).all():
+            continue
+        if seconds_columns(name, table.columns):
+            return name, "s"
+        period = _mean_step(x)
+        said = table.unit(name) if table.unit(name) in STAMP_UNITS else time_unit(name)
+        for unit in [said] if said else ["s", "ms", "us", "ns"]:
+            fits = float(np.ptp(x)) * STAMP_UNITS[unit] < _LONGEST
+            if fits and PERIODS[0] <= period * STAMP_UNITS[unit] * 1e-9 <= PERIODS[1]:
+                return name, unit
+    name, x = next(iter(table.columns.items()), ("", np.zeros(0)))
+    steps = np.diff(x)
+    regular = len(x) >= FEWEST and np.isfinite(x).all() and steps.min() > 0 and np.ptp(steps) < _REGULAR * steps.mean()
+    if regular and PERIODS[0] <= steps.mean() <= PERIODS[1] and not any(suggests(name, what) for what in _MEANINGS):
+        return name, "s"  # the first column, without a known name
+    return None
+
+
+def _mean_step(x: FloatArray) -> float:
+    """Return the mean step of a time that may start again and be printed with few digits; 0 for no time."""
+    steps = np.diff(x)
+    onward = steps >= 0
+    distinct = int((steps > 0).sum())
+    if onward.mean() < _ONWARD or distinct * _MOST_PER_STAMP < 1:
+        return 0.0
+    median = float(np.median(steps))
+    return median if median > 0 else float(steps[onward].mean())

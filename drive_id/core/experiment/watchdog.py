@@ -227,7 +227,7 @@ class Watchdog:
                 return None
             stream.last = block
         stream.arrived, stream.fault = steady, fault
-        stream.count.add(block.first_sample, len(block))
+        stream.count.add(block.first_sample, len(block), block.stamp, block.sample_period)
         if fault is None:
             stream.note_clock(now, steady, block.end, self.settings.largest_clock_offset)
             self._compare()

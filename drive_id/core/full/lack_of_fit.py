@@ -19,7 +19,7 @@ from scipy import sparse
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import FullModel
 from drive_id.core.full.solver import FullSolution
-from drive_id.core.full.windows import Windows, interval
+from drive_id.core.full.windows import Windows
 from drive_id.core.maps.coverage import smoothed
 from drive_id.types import TINY, FloatArray, IntArray
 
@@ -61,10 +61,9 @@ class LackOfFit:
 class GroupSums:
     """Scores and residuals of windows, summed by cell of the current plane and by rotor position."""
 
-    def __init__(self, unknowns: int, batch: float) -> None:
-        self._batch = batch  # time within which residuals are dependent, s
-        self._by_cell = np.zeros((_CELLS**2, unknowns + 11))  # scores, 6 facts, 5 flux facts
-        self._by_position = np.zeros((_POSITIONS, unknowns + 6))  # scores, 6 facts
+    def __init__(self, unknowns: int) -> None:
+        self._by_cell = np.zeros((_CELLS**2, unknowns + 10))  # scores, 5 facts, 5 flux facts
+        self._by_position = np.zeros((_POSITIONS, unknowns + 5))  # scores, 5 facts
 
     def add(self, windows: Windows, rows: FloatArray, expected: FloatArray, i_max: float) -> None:
         """Add windows.
@@ -85,12 +84,9 @@ class GroupSums:
         cell = _cell(windows.i_dq.mean(axis=1), i_max)
         position = (np.mod(windows.angle[:, 0], 2 * np.pi) / (2 * np.pi) * _POSITIONS).astype(np.int64)
         position = np.minimum(position, _POSITIONS - 1)
-        passes = interval(windows.time, self._batch)
-        of_cell, of_position = (_pass_squares(turned, passes, group)[:, None] for group in (cell, position))
-        found = np.concatenate([scores, facts, of_cell, _flux_facts(windows, turned)], axis=1)
+        found = np.concatenate([scores, facts, _flux_facts(windows, turned)], axis=1)
         self._by_cell += _members(cell, _CELLS**2) @ found
-        found = np.concatenate([scores, facts, of_position], axis=1)
-        self._by_position += _members(position, _POSITIONS) @ found
+        self._by_position += _members(position, _POSITIONS) @ found[:, :-5]
 
     def merge(self, other: GroupSums) -> None:
         """Add the sums over other windows."""
@@ -105,16 +101,16 @@ class GroupSums:
         share : float
             Number of all windows over that of the windows added.
         """
-        by_cell, cells, fluxes = np.split(self._by_cell, [-11, -5], axis=1)
-        by_position, positions = np.split(self._by_position, [-6], axis=1)
+        by_cell, cells, fluxes = np.split(self._by_cell, [-10, -5], axis=1)
+        by_position, positions = np.split(self._by_position, [-5], axis=1)
         squares = cells[:, 3] / np.maximum(cells[:, 4], TINY)
         enough = cells[:, 0] > _FEWEST
         worst = int(np.argmax(np.where(enough, squares, 0.0)))
-        factors = [_repeating(facts, share) for facts in (cells, positions)]
+        ratios = [_repeating(facts) for facts in (cells, positions)]
         changes = [
-            solution.basis @ solution.gain(factor * scores.T)
-            for factor, scores in zip(factors, (by_cell, by_position), strict=True)
-            if factor > 0
+            solution.basis @ solution.gain(np.sqrt(max(1 - 1 / ratio, 0.0)) * share * scores.T)
+            for ratio, scores in zip(ratios, (by_cell, by_position), strict=True)
+            if ratio > 1
         ]
         inner = enough & (np.hypot(*_centre(np.arange(_CELLS**2), 1.0)) < 0.2)
         return LackOfFit(
@@ -187,28 +183,15 @@ def _centre(cell: int | IntArray, i_max: float) -> FloatArray:
     return np.asarray((2 * (np.array(divmod(cell, _CELLS)) + 0.5) / _CELLS - 1) * i_max)
 
 
-def _pass_squares(turned: ComplexArray, passes: IntArray, group: IntArray) -> FloatArray:
-    """Return (N,) terms whose sum over a group is that of the squares of its residuals' sums over each pass of time."""
-    _, each = np.unique(np.stack([group, passes]), axis=1, return_inverse=True)
-    sums = np.bincount(each.ravel(), turned.real) + 1j * np.bincount(each.ravel(), turned.imag)
-    return np.asarray(np.abs(sums[each.ravel()]) ** 2 / np.bincount(each.ravel())[each.ravel()])
+def _repeating(facts: FloatArray) -> float:
+    """Return the mean square of the groups' mean residuals over that of white ones; 1 unless it is significant.
 
-
-def _repeating(facts: FloatArray, share: float) -> float:
-    """Return the factor on the sums of groups that leaves what is beyond white noise, of all windows; 0 for nothing.
-
-    What recurs from pass to pass grows with the number of windows, ``share`` times that of those summed; what is only
-    correlated within a pass grows with its root. ``facts`` (G, 6) are count, sum of both parts, sum of squares, that of
-    noise, and sum of the squares of the sums over passes, of each group.
+    ``facts`` (G, 5) are count, sum of both parts, sum of squares, and that of noise, of each group.
     """
-    count, real, imag, square, _, by_pass = facts[facts[:, 0] > _FEWEST].T
+    count, real, imag, square, _ = facts[facts[:, 0] > _FEWEST].T
     if not len(count):
-        return 0.0
-    significant = 1 + _SIGNIFICANCE / np.sqrt(len(count))
+        return 1.0
     white = square.sum() / count.sum()
-    ratio = float(np.mean((real**2 + imag**2) / count / max(white, TINY)))
-    if ratio <= significant:
-        return 0.0
-    over_passes = float(np.mean((real**2 + imag**2) / np.maximum(by_pass, TINY)))
-    recurs = min(1 - 1 / over_passes, 1 - 1 / ratio) if over_passes > significant else 0.0
-    return float(np.sqrt(recurs * share**2 + (1 - 1 / ratio - recurs) * share))
+    found = (real**2 + imag**2) / count / max(white, TINY)
+    ratio = float(found.mean())
+    return ratio if ratio > 1 + _SIGNIFICANCE / np.sqrt(len(count)) else 1.0

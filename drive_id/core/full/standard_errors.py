@@ -65,7 +65,7 @@ def residual_statistics(
     covariance = solution.white_covariance  # cached before the threads start
 
     def evaluated(segments: Sequence[Windows]) -> tuple[list[list[_Batch]], GroupSums]:
-        batches, groups = [], GroupSums(solution.basis.shape[1], _BATCH)
+        batches, groups = [], GroupSums(solution.basis.shape[1])
         for segment in segments:
             rows = model.design_times(segment, through, solution.spec.orders)
             expected = noise.expected(model, solution.estimate, segment)

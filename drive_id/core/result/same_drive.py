@@ -24,6 +24,9 @@ _SIGNIFICANT = 3.0
 """Standard errors beyond which a difference is no chance."""
 _MODEL = {True: 0.01, False: 0.05}
 """Relative error of R and flux that a method makes besides its standard errors: those over windows, and the paper's."""
+_VAGUE = {"R": 0.25, "flux": 0.05}
+"""Share of R and of the largest flux that the significant difference may reach: if both do, nothing shows that two
+results are of one drive."""
 _FLUX_FLOOR = 0.02
 """Of the largest flux, below which that of a magnet tells nothing."""
 
@@ -34,6 +37,7 @@ class Compared:
 
     text: str  # both, for people
     differ: tuple[str, ...]  # what cannot be of one drive
+    vague: bool  # the errors are so large that nothing shows whether it is one drive
 
 
 def compared(one: IdentifiedDrive, other: IdentifiedDrive, seconds: float) -> Compared:
@@ -58,10 +62,12 @@ def compared(one: IdentifiedDrive, other: IdentifiedDrive, seconds: float) -> Co
         tolerated = (heat * slope + model) * max(abs(first), abs(second), least)
         if abs(second - first) > tolerated + _SIGNIFICANT * math.hypot(error_1, error_2):
             differ.append(f"{said}, and heat explains {heat:.0f} K")
-    away = _map_distance(one.flux_map, other.flux_map)
+    away, told = _map_distance(one.flux_map, other.flux_map)
     if not differ and away > heat * MAGNET + 2 * model:
-        differ.append(f"their flux maps differ by {100 * away:.1f} % rms of the largest flux")
-    return Compared("; ".join(texts), tuple(differ))
+        differ.append(f"their flux maps differ by {100 * away:.1f} % of the largest flux")
+    (first, error_1), (second, error_2) = resistance
+    vague_resistance = _SIGNIFICANT * math.hypot(error_1, error_2) > _VAGUE["R"] * min(abs(first), abs(second))
+    return Compared("; ".join(texts), tuple(differ), vague_resistance and told > _VAGUE["flux"])
 
 
 def magnet_flux(flux_map: FluxMap) -> tuple[float, float]:
@@ -81,14 +87,16 @@ def _largest(flux_map: FluxMap) -> float:
     return float(np.hypot(flux_map.psi_d, flux_map.psi_q)[flux_map.inside].max(initial=0.0))
 
 
-def _map_distance(one: FluxMap, other: FluxMap) -> float:
-    """Return the rms distance of two maps where both have data, beyond their standard errors, by the largest flux."""
-    if one.inside.shape != other.inside.shape:
-        return 0.0
+def _map_distance(one: FluxMap, other: FluxMap) -> tuple[float, float]:
+    """Return the median distance of two maps where both have data, and that which is significant, by the largest flux.
+
+    Both are on the same grid. The distance is that beyond the standard errors.
+    """
     both = one.inside & other.inside
     if not both.any():
-        return 0.0
+        return 0.0, math.inf
     square = (one.psi_d - other.psi_d) ** 2 + (one.psi_q - other.psi_q) ** 2
-    errors = sum(np.nan_to_num(m.sigma_d) ** 2 + np.nan_to_num(m.sigma_q) ** 2 for m in (one, other))
-    excess = np.maximum(square - _SIGNIFICANT**2 * errors, 0.0)
-    return float(np.sqrt(np.median(excess[both]))) / max(_largest(one), _largest(other))
+    told = _SIGNIFICANT**2 * sum(each.sigma_d**2 + each.sigma_q**2 for each in (one, other))
+    largest = max(_largest(one), _largest(other))
+    distance, error = (np.sqrt(np.median(x[both])) for x in (np.maximum(square - told, 0.0), told))
+    return float(distance / largest), float(error / largest)

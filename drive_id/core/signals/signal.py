@@ -113,14 +113,14 @@ class SampleCount:
         self, first_sample: NDArray[Any], samples: IntArray, stamp: IntArray | None = None, period: float = 0.0
     ) -> None:
         """Count blocks (B,), see :meth:`add`."""
-        blocks, zeros = self.blocks + len(samples), self.zeros + int((first_sample == 0).sum())
         starts = np.append(0, np.flatnonzero(first_sample[1:] != (first_sample + samples)[:-1]) + 1)
         ends = np.append(starts[1:], len(samples)) - 1
         for start, last, whole in zip(starts, ends, np.add.reduceat(samples, starts), strict=True):  # out of turn
             self.add(int(first_sample[start]), int(whole), None if stamp is None else int(stamp[start]), period)
             if stamp is not None and self._end is not None:
                 self._end = int(stamp[last]) + round(int(samples[last]) * period * 1e9)
-        self.blocks, self.zeros = blocks, zeros
+            self.blocks += int(last - start)
+            self.zeros += int((first_sample[start + 1 : last + 1] == 0).sum())
 
     def interrupt(self) -> None:
         """Have the next block begin anew: what is missing before it is not lost."""

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from drive_id.core.signals.drive_watch import DriveWatch
 from drive_id.core.signals.join import SECTIONS
+from drive_id.errors import DriveChangedError
 from drive_id.files.messages.block_codec import read_head
 from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import SignalMap
@@ -39,7 +40,8 @@ class DrivePart:
 def drive_parts(path: Path, signals: SignalMap, namespace: str = "") -> list[DrivePart]:
     """Return the parts of a bag of our messages, in order, without those of a few samples only.
 
-    Raises BagError, ConfigurationError as :func:`~drive_id.files.read.several.read_recording` does.
+    Raises DriveChangedError when all are so short, and BagError, ConfigurationError as
+    :func:`~drive_id.files.read.several.read_recording` does.
     """
     watch, parts = DriveWatch(), [DrivePart(0, None)]
     with open_bag(path) as bag:
@@ -67,4 +69,7 @@ def drive_parts(path: Path, signals: SignalMap, namespace: str = "") -> list[Dri
                 part.first_stamp = part.first_stamp if part.samples else head.stamp
                 part.samples += head.samples
                 part.last_stamp = head.stamp + round(head.samples * head.sample_period * NANOSECONDS)
-    return [part for part in parts if part.samples >= _LEAST] or parts[:1]
+    long = [part for part in parts if part.samples >= _LEAST]
+    if not long:
+        raise DriveChangedError(Message("drive_changed.mixed", path=str(path), parts=len(parts)))
+    return long

@@ -215,7 +215,8 @@ class Identifier:
         snapshot = live.snapshot(method)
         samples = moving(snapshot.gathered.evidence) + sum(len(piece.samples) for piece in snapshot.rest)
         earlier = self.refits.earlier(fit, samples) if live is self.live else None
-        work = partial(_fit_live, snapshot, earlier, named, self.settings, self._forgotten, part)
+        surest = self.refits.surest if live is self.live and fit == self.live.settings else None
+        work = partial(_fit_live, snapshot, earlier, named, self.settings, self._forgotten, part, surest)
         return partial(_guarded, self.folders, work)
 
     def refit(self) -> RefitJob | None:
@@ -368,6 +369,7 @@ def _fit_live(
     settings: IdentificationSettings,
     forgotten: str,
     part: str,
+    surest: tuple[int, float] | None,
     tell: Progress,
 ) -> Reply:
     output = new_folder(settings, fit.method)
@@ -378,8 +380,9 @@ def _fit_live(
     except DriveIdError as error:
         return replace(failed(error, snapshot.join.report()), message=" ".join(filter(None, [str(error), forgotten])))
     evidence = snapshot.gathered.evidence
+    doubt = refit.doubt(surest)
     result = completed(
-        refit.drive,
+        replace(refit.drive, statements=(*refit.drive.statements, *([] if doubt is None else [doubt]))),
         fit,
         excerpts=snapshot.validation(),
         duration=evidence.samples * evidence.sample_period,

@@ -115,11 +115,8 @@ class RecordingReport:
         """Return a sentence or two on the recordings of several drives in the bag; empty if there is one only."""
         if not self.changes:
             return ""
-        first, *others = self.changes
-        further = f" So it was {len(others)} times more." if others else ""
-        return (
-            f"After {first.after:.3f} s, another of {len(self.changes) + 1} recordings begins: {first.reason}{further}"
-        )
+        first, recordings = self.changes[0], len(self.changes) + 1
+        return f"The bag holds {recordings} recordings, the second from {first.after:.3f} s on: {first.reason}"
 
     def custom_data(self) -> dict[str, str]:
         """Return the figures for the metadata of the bag."""

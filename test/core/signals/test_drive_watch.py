@@ -87,14 +87,9 @@ def test_scripts_of_restart_exchange_duplicates_and_delay(seed):
     rng = np.random.default_rng(seed)
     drives, changes, sent = [Drive(START - int(rng.integers(200, 5000)) * BLOCK)], [], []
     for number in range(600):
-        if changes and number - changes[-1] < 150:
-            change = False
-        else:
-            change = number > 20 and rng.random() < 0.01
-        if change:
-            exchanged = rng.random() < 0.5
-            begin = START + (number - int(rng.integers(0, 3)) if not exchanged else -int(rng.integers(9000, 20000))) * BLOCK
-            drives.append(Drive(begin, "drive" if rng.random() < 0.7 else f"drive {number}"))
+        if number - (changes or [-130])[-1] > 150 and rng.random() < 0.01:
+            began = -int(rng.integers(9000, 20_000)) if rng.random() < 0.5 else number - int(rng.integers(0, 3))
+            drives.append(Drive(START + began * BLOCK, "drive" if rng.random() < 0.7 else f"drive {number}"))
             changes.append(number)
         sent.append((number, len(drives) - 1))
     arrived = []

@@ -177,9 +177,10 @@ class TrajectoryPublisher(ManagedNode):
         return Health.of(health.message, [(Level.OK, sentence) for sentence in found], health.values)
 
     def _on_timer(self) -> None:
+        if self._publisher is not None:
+            self._match_buttons()
         if self.active:
             now, steady = self._now(), time.monotonic()
-            self._match_buttons()
             self._count_drives()
             self._publish(self._experiment.advance(now, steady, self.count_publishers(_REFERENCES)))
             reason = self._experiment.trip_reason

@@ -55,7 +55,7 @@ def write(path, parts, gap=1.5, frames=("drive", "drive", "drive"), counts=(0, 0
                 writer.write(topic, data, block["stamp"] + shift)
             end = int(samples.stamp[-1]) + shift
             shift += int(samples.stamp[-1] - samples.stamp[0]) + round(gap * 1e9)
-        custom = custom and {**custom, "recording_2:begins": str(end - 2 * 10**9)}
+        custom = custom and {**custom, "recording_2:begins": str(end - 3 * 10**9)}
         writer.close(custom)
     return path
 
@@ -72,8 +72,8 @@ def test_an_exchanged_drive_is_refused(drives, tmp_path, other):
     assert refused.value.code == "drive_changed"
     assert "The count of /phase_currents went from 30000 to 0" in str(refused.value)
     assert ("psi_PM is" if other == "other" else "R is") in str(refused.value)
-    with pytest.raises(DriveChangedError):  # without i_max, and as an information file
-        accumulate_bags(Sources([path]), tmp_path / "sums", replace(SETTINGS, i_max=None))
+    with pytest.raises(DriveChangedError):
+        accumulate_bags(Sources([path]), tmp_path / "sums", SETTINGS)
     assert not (tmp_path / "sums").exists()
 
 

@@ -110,7 +110,8 @@ class LiveParts:
         self._changes += 1
         before = self.present
         self.present = before.successor()
-        if before.join.samples >= _LEAST or self._reason is None:
-            before.advance()
+        before.advance()
+        if before.join.samples >= _LEAST:
             self._before, self._reason = before, reason
+        self._reason = self._reason or reason
         return True

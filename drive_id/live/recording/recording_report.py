@@ -129,6 +129,6 @@ class RecordingReport:
             data["recordings"] = str(len(self.changes) + 1)
         for number, change in enumerate(self.changes, 2):
             data[f"recording_{number}:begins"] = str(change.log_time)  # log time, ns, as in the files of the bag
-            data[f"recording_{number}:because"] = change.reason
+            data[f"recording_{number}:because"] = str(change.reason)
         remarks = {"error": self.error, "remark": self.remark}
         return data | {name: said for name, said in remarks.items() if said}

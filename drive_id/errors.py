@@ -101,5 +101,9 @@ class CoverageError(DataError, code="coverage"):
     """The data cover too little of the current plane for a map, or not the currents asked for."""
 
 
+class DriveChangedError(DataError, code="drive_changed"):
+    """The samples are of two drives, or of one before and after its restart: one map of both may be of neither."""
+
+
 class UnexplainedError(DataError, code="unexplained"):
     """The fitted model leaves most of the voltage unexplained, so that its map means nothing."""

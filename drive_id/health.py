@@ -27,6 +27,12 @@ class Health:
     message: str
     values: Mapping[str, str] = field(default_factory=dict)
 
+    def with_warning(self, sentence: str) -> Health:
+        """Return it with a further warning: beside what it says, or among the values if that is worse."""
+        if self.level is Level.OK:
+            return Health(Level.WARN, f"{self.message} {sentence}", self.values)
+        return Health(self.level, self.message, {**self.values, f"also {len(self.values)}": sentence})
+
     @classmethod
     def of(cls, doing: str, observations: Sequence[Observation], values: Mapping[str, str]) -> Health:
         """Return a status of at most two sentences: what is under way, and the first of the most severe observations.

@@ -68,12 +68,12 @@ CONTRACT = {
         "bool dry_run; bool require_lease; ---; bool success; string code; string message; uint64 session"
     ),
     "srv/Identify": (
-        "string[] bags; string method; string signals; string machine; string serial; string bench; "
+        "string[] bags; string part; string method; string signals; string machine; string serial; string bench; "
         "string operator_name; string notes; ---; bool success; string code; string message; "
         "FluxMap flux_map; FitReport report; string output"
     ),
     "action/Identify": (
-        "string[] bags; string method; string signals; string machine; string serial; string bench; "
+        "string[] bags; string part; string method; string signals; string machine; string serial; string bench; "
         "string operator_name; string notes; ---; bool success; string code; string message; "
         "FluxMap flux_map; FitReport report; string output; ---; string stage; float64 progress; string message"
     ),

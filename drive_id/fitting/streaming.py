@@ -18,8 +18,9 @@ from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.signals.join import Piece
 from drive_id.files.messages.signals_file import SignalMap
-from drive_id.files.read.extraction import UnusualError
+from drive_id.files.read.extraction import DividedError, UnusualError
 from drive_id.files.read.several import SeveralBags, digests_of
+from drive_id.fitting.one_drive import Part, of_one_drive
 from drive_id.types import Progress, silent
 
 WHOLE = SPAN * SPANS
@@ -39,15 +40,23 @@ def accumulate(
 
     Without ``threads``, this one reads, too: where each process is confined to one core.
 
+    Where the drive was restarted or exchanged within a bag, its parts are recordings, and must be of one drive: see
+    :func:`~drive_id.fitting.one_drive.of_one_drive`.
+
     Raises DriveIdError when a bag cannot be read, or its samples cannot give a map.
     """
     signals = signals or SignalMap()
     reading = SeveralBags(bags, signals, namespace, tell, threads=threads)
-    evidence, spans = _gathered(reading, settings, tell)
+    try:
+        evidence, spans = _gathered(reading, settings, tell)
+        validation, warnings = spans.samples(), reading.warnings
+    except DividedError:
+        evidence, validation, said = of_one_drive(_gathered_apart(reading, settings, tell), tell)
+        warnings = (*reading.warnings, *said)
     return Accumulated(
         evidence=evidence,
-        validation=spans.samples(),
-        warnings=reading.warnings,
+        validation=validation,
+        warnings=warnings,
         digests=digests_of(bags),  # after reading, which refuses what only looks large
         truth=reading.truth,
         samples=reading.samples,
@@ -83,6 +92,40 @@ def _gathered(reading: SeveralBags, settings: FitSettings, tell: Progress) -> tu
         for piece, begins in reading.pieces("Accumulating"):
             _add(evidence, piece, begins=begins and bool(settings.conditions))
     return evidence, spans
+
+
+def _gathered_apart(reading: SeveralBags, settings: FitSettings, tell: Progress) -> list[Part]:
+    """Read twice, and accumulate each bag, and each part of one in which the drive changed, by itself."""
+    prescan = _scanned(reading, settings)
+    parts: list[Part] = []
+    for piece, begins in reading.pieces("Accumulating"):
+        if begins:
+            number, of_drive = reading.present
+            parts.append(Part(number, of_drive, prescan.prepare(settings.of_recording(number)), Spans()))
+            parts[-1].evidence.next_recording()
+        parts[-1].evidence.add(piece.samples, continues=piece.continues)
+        parts[-1].spans.add(piece)
+    for part in parts:
+        prescan.inform(part.evidence)
+    tell("Solving", None)
+    return parts
+
+
+def _scanned(reading: SeveralBags, settings: FitSettings) -> Prescan:
+    """Return the statistics of all samples, having found out by which parts they are to be read."""
+    reading.divide()
+    while True:
+        prescan = Prescan()
+        try:
+            for piece, _ in reading.pieces("Reading"):
+                prescan.add(piece.samples, continues=piece.continues)
+        except UnusualError:
+            reading.read_whole()
+        except DividedError:
+            reading.divide()
+        else:
+            prescan.check(settings.method)
+            return prescan
 
 
 def _add(evidence: Evidence, piece: Piece, *, begins: bool) -> None:

@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,9 +26,10 @@ from drive_id.errors import (
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import SignalMap, parse_signals, read_signals
-from drive_id.files.read.extraction import UnusualError
+from drive_id.files.read.extraction import DividedError, UnusualError
 from drive_id.files.read.operating_log import read_operating_log
-from drive_id.files.read.reader import BagFacts, bag_pieces, find_topics
+from drive_id.files.read.reader import find_topics
+from drive_id.files.read.several import SeveralBags
 from drive_id.files.storage.bag import open_bag
 from drive_id.inspection.contents import Contents, Table, read_contents
 from drive_id.inspection.draft import Draft, propose
@@ -134,16 +134,19 @@ def _look(
     path: Path, signals: SignalMap, namespace: str, tell: Progress
 ) -> tuple[list[Message], Overview | None, tuple[Message, ...]]:
     """Read the log as a fit does, and return findings, overview and warnings."""
-    for whole in (False, True):
+    reading = SeveralBags([path], signals, namespace, tell, threads=False)
+    while True:
         prescan, overviewing = Prescan(), Overviewing()
         refused: DriveIdError | None = None
-        facts: list[BagFacts] = []
-        told = partial(tell, "Reading")
         try:
-            for piece in bag_pieces(path, signals, namespace, whole=whole, threads=False, tell=told, end=facts.append):
+            for piece, _ in reading.pieces("Reading"):
                 prescan.add(piece.samples, continues=piece.continues)
                 overviewing.add(piece)
         except UnusualError:
+            reading.read_whole()
+            continue
+        except DividedError:
+            reading.divide()
             continue
         except _LOOKED as error:
             refused = error
@@ -154,7 +157,7 @@ def _look(
     overview = overviewing.overview(prescan.radius) if prescan.samples else None
     if overview is not None:
         found += overview.findings()
-    return found, overview, facts[0].warnings if facts else ()
+    return found, overview, reading.warnings
 
 
 def _look_at_points(

@@ -10,13 +10,14 @@ from drive_id.health import Level, Observation
 
 @dataclass(frozen=True)
 class Publisher:
-    """A publisher: full name of its node, message type (``package/msg/Name``), quality of service."""
+    """A publisher: full name of its node, message type (``package/msg/Name``), quality of service, and its identity."""
 
     node: str
     type_name: str
     reliable: bool = True
     transient_local: bool = False
     depth: int = 0
+    identity: str = ""  # as long as it lives, and of no other one
 
 
 def of_type(publishers: Sequence[Publisher], type_name: str) -> list[Publisher]:

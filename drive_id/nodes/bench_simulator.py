@@ -34,6 +34,8 @@ _SHORTEST_TICK = 2e-3
 """Time between looks at which samples are due, s: shorter blocks are published several at once."""
 _LONGEST_TICK = 2e-2
 """The same, s: references and faults are taken so often, however long a block is."""
+_DISCOVERY = 5.0
+"""Time after the start in which another publisher of the clock has been there before, s."""
 
 
 class BenchSimulator(Node):
@@ -55,6 +57,7 @@ class BenchSimulator(Node):
         self._heard: Channel[CurrentReference] = Channel(self._drive.seed)
         self._said: Channel[MessageBlock | feedback.DriveStatus] = Channel(self._drive.seed + 1)
         self._pace: Pace | None = None
+        self._started = time.monotonic()
         self._tell_truth()
         self._signals = SignalPublishers(self, self._settings.frame_id, self._drive.log_scalars)
         self._status_publisher = self.create_publisher(DriveStatus, "drive_status", STREAM)
@@ -99,6 +102,7 @@ class BenchSimulator(Node):
         return self._pace.now(time.monotonic_ns(), self._bench.latest)
 
     def _on_timer(self) -> None:
+        self._refuse_second_clock()
         now = self._now()
         if now <= 0:
             return  # no /clock yet
@@ -113,6 +117,17 @@ class BenchSimulator(Node):
                 self._status_publisher.publish(status_message(item, self._settings.frame_id))
         if self._clock_publisher is not None:
             self._clock_publisher.publish(ClockMessage(clock=Time(nanoseconds=now).to_msg()))
+
+    def _refuse_second_clock(self) -> None:
+        """End, soon after the start, if another node publishes the clock: nodes that follow both go back and forth."""
+        if self._clock_publisher is None or time.monotonic() > self._started + _DISCOVERY:
+            return
+        topic = self._clock_publisher.topic_name
+        if self.count_publishers(topic) > 1:
+            raise ConfigurationError(
+                f"Another node publishes {topic} already, so time_scale must be 1.0 here; or give each drive, and all "
+                "nodes that follow it, a clock of its own: -r /clock:=/drive_2/clock."
+            )
 
     def _publish(self, block: MessageBlock) -> None:
         self._signals.publish("phase_currents", block, block.currents)

@@ -62,7 +62,6 @@ class IdentificationNode(ManagedNode):
         self._inbox = Inbox(partial(in_executor, self))
         self._requests = Requests(settings.time_limit, partial(in_executor, self))
         self._refitter: Worker[Refit | None] = Worker()
-        self._life = 0  # of the live samples; a fit of forgotten ones is of no use
         self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED)
         self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED)
         self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
@@ -120,11 +119,11 @@ class IdentificationNode(ManagedNode):
             return
         job = self._identifier.refit()
         if job is not None:
-            life = self._life
+            life = self._identifier.life
             self._refitter.start(job, lambda refit: in_executor(self, lambda: self._refitted(refit, life)))
 
     def _refitted(self, refit: Refit | None, life: int) -> None:
-        if refit is None or life != self._life or not self.active:
+        if refit is None or life != self._identifier.life or not self.active:
             return
         self._identifier.take(refit)
         if self._identifier.refits.publishes and not self._requests.busy:
@@ -133,7 +132,6 @@ class IdentificationNode(ManagedNode):
     def _on_settings(self, settings: FitSettings) -> None:
         self._inbox.empty()
         if self._identifier.configure(settings):
-            self._life += 1
             self.get_logger().info("The live samples were discarded because the settings of the fit changed.")
 
     def _job(self, request: Any) -> Job:
@@ -145,13 +143,14 @@ class IdentificationNode(ManagedNode):
             self._inbox.empty()
             dropped = self._inbox.warnings()
         names = {name: getattr(request, field) for name, field in NAMES.items()}
-        job, life = self._identifier.job(request.bags, request.method, request.signals, names), self._life
+        job = self._identifier.job(request.bags, request.method, request.signals, names, request.part)
+        life = self._identifier.life
         self._refitter.cancel()
 
         def run(tell: Progress) -> Reply:
             reply = job(tell)
             warnings = (*reply.warnings, *dropped)
-            return replace(reply, warnings=warnings, refit=reply.refit if life == self._life else None)
+            return replace(reply, warnings=warnings, refit=reply.refit if life == self._identifier.life else None)
 
         return run
 
@@ -190,7 +189,6 @@ class IdentificationNode(ManagedNode):
     def _forget(self) -> None:
         self._inbox.reset()
         self._identifier.reset()
-        self._life += 1
 
     def _health(self) -> Health:
         if not self.active:

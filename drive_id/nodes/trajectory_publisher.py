@@ -13,20 +13,21 @@ from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, Publ
 from drive_id_msgs.srv import Command, StartExperiment
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import Trigger
 
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.experiment.state_machine import ExperimentState, ReferenceBlock
 from drive_id.core.experiment.supervision import Answer, SupervisedExperiment
-from drive_id.core.experiment.watchdog import SIGNALS
+from drive_id.core.experiment.watchdog import CURRENTS, SIGNALS
 from drive_id.health import Health, Level
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.experiment_messages import drive_status, reference_message, sample_block, state_message
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
-from drive_id.nodes.support.qos import LATCHED, STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions
+from drive_id.nodes.support.qos import LATCHED, STREAM, STREAM_BEST_EFFORT, full_name, incompatible_subscriptions
 from drive_id.nodes.support.runtime import run
 
 _DELIVERY = Duration(seconds=2)
@@ -57,6 +58,9 @@ class TrajectoryPublisher(ManagedNode):
         self._incompatible: list[str] = []
         self._published_state: tuple[Any, ...] = ()
         self._state_due = 0.0
+        self._drives: list[str] = []
+        self._button_counts: dict[str, int] = {}
+        self._heard_buttons: dict[str, list[QoSProfile]] = {}
         self._publisher: Any = None
         self._subscriptions_kept: list[Any] = []
         for kind, name, handle in (
@@ -86,11 +90,6 @@ class TrajectoryPublisher(ManagedNode):
             CurrentReference, _REFERENCES, STREAM, event_callbacks=PublisherEventCallbacks(**_NO_EVENTS)
         )
         currents, resolver, status = SIGNALS
-        presses = [
-            (Bool, button, partial(self._on_emergency_stop, button), profile)
-            for button in self._buttons
-            for profile in (STREAM_BEST_EFFORT, STREAM, LATCHED)  # a single press is not lost, nor one of before
-        ]
         self._subscriptions_kept = [  # best effort receives from any publisher; a lost block does no harm here
             self.create_subscription(
                 kind, name, handle, profile, event_callbacks=SubscriptionEventCallbacks(**_NO_EVENTS)
@@ -99,9 +98,36 @@ class TrajectoryPublisher(ManagedNode):
                 (PhaseCurrents, currents, self._on_currents, STREAM_BEST_EFFORT),
                 (Resolver, resolver, self._on_resolver, STREAM_BEST_EFFORT),
                 (DriveStatus, status, self._on_status, STREAM_BEST_EFFORT),
-                *presses,
             )
         ]
+        self._heard_buttons, self._button_counts = {}, {}
+        for button in self._buttons:
+            self._hear_button(button, STREAM_BEST_EFFORT)
+
+    def _hear_button(self, button: str, profile: QoSProfile) -> None:
+        """Subscribe to an emergency stop by a quality of service, unless that is done already."""
+        heard = self._heard_buttons.setdefault(button, [])
+        if profile in heard:
+            return
+        heard.append(profile)
+        handle = partial(self._on_emergency_stop, button)
+        events = SubscriptionEventCallbacks(**_NO_EVENTS)
+        self._subscriptions_kept.append(self.create_subscription(Bool, button, handle, profile, event_callbacks=events))
+
+    def _match_buttons(self) -> None:
+        """Hear emergency stops reliably, and those pressed before, where a publisher offers it: others would warn."""
+        counts = {button: self.count_publishers(button) for button in self._buttons}
+        for button, count in counts.items():
+            if count == self._button_counts.get(button, 0):
+                continue
+            for info in self.get_publishers_info_by_topic(self.resolve_topic_name(button)):
+                offered = info.qos_profile
+                if offered.reliability != ReliabilityPolicy.BEST_EFFORT:
+                    self._hear_button(button, STREAM)
+                    if offered.durability == DurabilityPolicy.TRANSIENT_LOCAL:
+                        self._hear_button(button, LATCHED)
+        self._button_counts = counts
+        self._experiment.count_buttons(counts)
 
     def disconnect(self) -> None:
         """Disconnect from the drive, once it has acknowledged the last references; this forgets a trip as well."""
@@ -132,6 +158,9 @@ class TrajectoryPublisher(ManagedNode):
 
     def _health(self) -> Health:
         health = self._experiment.health(self._now(), time.monotonic())
+        if len(self._drives) > 1:
+            topic = self.resolve_topic_name(CURRENTS)
+            health = health.with_warning(f"{' and '.join(self._drives)} both publish {topic}: stop one.")
         if self.active:
             waits = health.level is Level.OK and health.values["state"] == ExperimentState.IDLE.value
             return self._with_subscriptions(health) if waits else health  # no graph queries while current flows
@@ -148,15 +177,25 @@ class TrajectoryPublisher(ManagedNode):
         return Health.of(health.message, [(Level.OK, sentence) for sentence in found], health.values)
 
     def _on_timer(self) -> None:
+        if self._publisher is not None:
+            self._match_buttons()
         if self.active:
             now, steady = self._now(), time.monotonic()
-            self._experiment.count_buttons({button: self.count_publishers(button) for button in self._buttons})
+            self._count_drives()
             self._publish(self._experiment.advance(now, steady, self.count_publishers(_REFERENCES)))
             reason = self._experiment.trip_reason
             if reason and reason != self._logged:
                 self.get_logger().error(f"Tripped: {reason}")
             self._logged = reason
         self._publish_state()
+
+    def _count_drives(self) -> None:
+        """Note who publishes the phase currents, if that has changed."""
+        if self.count_publishers(CURRENTS) != len(self._drives):
+            self._drives = [
+                full_name(info) for info in self.get_publishers_info_by_topic(self.resolve_topic_name(CURRENTS))
+            ]
+            self._experiment.count_drives(self._drives)
 
     def _publish_state(self) -> None:
         now, steady = self._now(), time.monotonic()

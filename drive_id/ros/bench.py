@@ -69,6 +69,8 @@ class Progress:
         Of the trajectory, s; 0 where none runs.
     coverage : float
         Share of the current disc that the identification node has data of, 0 to 1.
+    of_disc : bool
+        The trajectory is to cover the disc; a first start is not.
     """
 
     sentence: str
@@ -76,6 +78,7 @@ class Progress:
     elapsed: float = 0.0
     duration: float = 0.0
     coverage: float = 0.0
+    of_disc: bool = True
 
 
 @dataclass(frozen=True)
@@ -432,7 +435,8 @@ class Bench:
 
     def _progress(self, sentence: str, waited: float) -> Progress:
         elapsed, duration = (self._value(PUBLISHER, f"{key} [s]") for key in ("elapsed", "duration"))
-        return Progress(sentence, waited, elapsed, duration, self._value(IDENTIFICATION, "coverage"))
+        of_disc = self._figures.get(PUBLISHER, {}).get("coverage") != ""
+        return Progress(sentence, waited, elapsed, duration, self._value(IDENTIFICATION, "coverage"), of_disc)
 
     def _value(self, node: str, key: str) -> float:
         """Return a number that a node reports, 0 if it reports none."""

@@ -8,6 +8,8 @@ that publishes ``phase_currents``, ``phase_voltages`` and ``resolver`` and follo
     recorder/start  ->  trajectory_publisher/start  ->  wait for the end of the trajectory  ->  recorder/stop
     identification/identify from the recording
 
+With ``--clear-fault``, nothing but a latched trip of the publisher is cleared.
+
 All names are relative: ``--ros-args -r __ns:=/drive_1`` selects the nodes of a namespace. Whatever goes wrong, the
 drive is left at zero current, and one sentence says what it was.
 """
@@ -89,7 +91,7 @@ def telling(console: Console) -> Iterator[Callable[[Progress], None]]:
                 description=now.sentence,
                 total=now.duration if runs else None,
                 completed=now.elapsed if runs else 0,
-                covered=f"{100 * now.coverage:3.0f} % of the disc" if runs else "",
+                covered=f"{100 * now.coverage:3.0f} % of the disc" if runs and now.of_disc else "",
             )
 
         yield show
@@ -215,6 +217,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--free-shaft", action="store_true", help="trajectory free_shaft: without load machine")
     parser.add_argument("--truth", type=Path, help="file that bench_simulator wrote, to compare with")
     parser.add_argument("--output", type=Path, help="folder, made if missing, for the table and the results")
+    parser.add_argument(
+        "--clear-fault", action="store_true", help="only clear a trip of the trajectory publisher whose cause is gone"
+    )
     parser.add_argument("--timeout", type=float, default=60.0, help="for each step, s")
     parser.add_argument("--start-up", type=float, default=300.0, help="time for all nodes to become ready, s")
     with ros_arguments():
@@ -250,6 +255,9 @@ def _run(options: argparse.Namespace) -> int:
             prepare_output(options.output, COMPARED if options.compare else REQUESTS)
         with telling(_CONSOLE) as tell:
             bench = Bench(drive=options.drive, timeout=options.timeout, tell=tell, arguments=sys.argv)
+            if options.clear_fault:
+                say(bench.clear_fault())
+                return 0
             return characterize(bench, options)
     except (DriveIdError, OSError, KeyboardInterrupt, ROSInterruptException) as error:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):

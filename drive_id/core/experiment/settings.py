@@ -216,6 +216,12 @@ class ExperimentSettings(Checked):
             )
 
     @property
+    def covers_disc(self) -> bool:
+        """Whether the trajectory is to visit the whole disc: a first start turns a vector, or shakes a free shaft."""
+        shakes = self.trajectory == FREE_SHAFT and self.shaft_acceleration is None
+        return self.trajectory != FIRST_START and not shakes
+
+    @property
     def stator_frame(self) -> bool:
         """Whether the references are alpha and beta, not d and q."""
         return self.trajectory == FIRST_START

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import secrets
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
@@ -17,7 +17,7 @@ from drive_id.types import NANOSECONDS, FloatArray
 
 _SESSIONS = itertools.count((secrets.randbits(47) << 16) + 1)
 """Sessions of this process: its runs are counted in the lowest 16 bits, the others tell whose they are."""
-_CLEAR = "Call ~/clear_fault when the cause is gone."
+_CLEAR = "When the cause is gone, clear it by characterize --clear-fault, or by the service ~/clear_fault."
 
 
 @dataclass(frozen=True)
@@ -191,6 +191,10 @@ class SupervisedExperiment:
         """Note how many nodes publish each of the ``emergency_stops``."""
         self._watchdog.count_buttons(publishers)
 
+    def count_drives(self, nodes: Sequence[str]) -> None:
+        """Note which nodes publish the phase currents."""
+        self._watchdog.drives = tuple(nodes)
+
     def heartbeat(self, steady: float) -> None:
         """Note a sign of life of the client that starts experiments, or has just started one."""
         self._heartbeat = steady
@@ -260,7 +264,7 @@ class SupervisedExperiment:
             "i_max [A]": f"{settings.i_max:g}",
             "i_d [A]": f"{report.i_dq[0]:.4g}",
             "i_q [A]": f"{report.i_dq[1]:.4g}",
-            "coverage": f"{report.coverage:.3f}",
+            "coverage": f"{report.coverage:.3f}" if settings.covers_disc else "",
             "clock offset [s]": f"{self._watchdog.clock_offset:.3f}",
         }
         if not math.isnan(report.bias):
@@ -271,12 +275,17 @@ class SupervisedExperiment:
             flows = " The drive does not go to zero current: use the emergency stop." if self._watchdog.flows() else ""
             return Health(Level.ERROR, f"{report.reason}{flows} {_CLEAR}", values)
         if self._experiment.active:
-            sentence = f"{report.state.value}: {100 * report.coverage:.0f} % of the disc visited."
-            return Health(Level.OK, sentence, values)
+            return Health(Level.OK, f"{report.state.value}: {self._progress(report)}.", values)
         fault = self._watchdog.fault(now, steady) or self._watchdog.start_fault()
         if fault is not None:
             return Health(Level.WARN, f"A start would be refused: {fault.reason}", values)
         return Health(Level.OK, self._experiment.stop_reason or "Waiting for a start.", values)
+
+    def _progress(self, report: Report) -> str:
+        """Return how far a running experiment is."""
+        if not self._settings.covers_disc:
+            return f"{report.elapsed:.1f} of {report.duration:.1f} s"
+        return f"{100 * report.coverage:.0f} % of the disc visited"
 
     def _judge(self, now: int, fault: Fault | None) -> bool:
         if fault is None or not self._experiment.active:

@@ -64,7 +64,8 @@ class _Button:
                 held = f", and a release by one of the {self.publishers} nodes that publish it does not count"
             return Fault(f"The emergency stop ({self.name}) is pressed{held}.", True)
         if self.latched:
-            return Fault(f"The emergency stop ({self.name}) was pressed: call ~/clear_fault.", True)
+            remedy = "clear it by characterize --clear-fault, or call ~/clear_fault"
+            return Fault(f"The emergency stop ({self.name}) was pressed: {remedy}.", True)
         if longest is None:
             return None
         if self.heard is None or steady - self.heard > longest:
@@ -129,6 +130,8 @@ class Watchdog:
         self.published = PublishedReferences()
         self.publishers = 1
         """Nodes that publish references, this one included."""
+        self.drives: tuple[str, ...] = ()
+        """Nodes that publish the phase currents, as far as they are known."""
         names = names or {}
         self._currents: _Stream[SampleBlock] = _Stream(names.get(CURRENTS, CURRENTS))
         self._resolver: _Stream[SampleBlock] = _Stream(names.get(RESOLVER, RESOLVER))
@@ -190,7 +193,7 @@ class Watchdog:
         if last is not None and status.count <= last.count:
             if status.stamp <= last.stamp:
                 return None  # a straggler
-            fault = fault or _restarted(stream.name, last.count + 1, status.count)
+            fault = fault or self._two_drives(stream.name) or _restarted(stream.name, last.count + 1, status.count)
         elif last is not None and status.stamp < last.stamp:
             fault = fault or _set_back(stream.name, last.stamp - status.stamp)
         stream.arrived, stream.last, stream.fault = steady, status, fault
@@ -225,9 +228,10 @@ class Watchdog:
             fault, straggler = _order(stream, block)
             if straggler:
                 return None
+            fault = fault and (self._two_drives(stream.name) or fault)
             stream.last = block
         stream.arrived, stream.fault = steady, fault
-        stream.count.add(block.first_sample, len(block))
+        stream.count.add(block.first_sample, len(block), block.stamp, block.sample_period)
         if fault is None:
             stream.note_clock(now, steady, block.end, self.settings.largest_clock_offset)
             self._compare()
@@ -313,6 +317,12 @@ class Watchdog:
             for stream in watched:
                 yield self._offset_fault(stream, steady)
             yield self._following_fault(steady)
+
+    def _two_drives(self, name: str) -> Fault | None:
+        """Return why counts or stamps of a signal mix, if there are two drives."""
+        if len(self.drives) < 2:
+            return None
+        return Fault(f"Two drives publish {name}, {' and '.join(self.drives)}, and their counts mix: stop one.", True)
 
     def _estop(self, steady: float) -> Fault | None:
         faults = [button.fault(steady, self.settings.emergency_stop_timeout) for button in self._buttons.values()]

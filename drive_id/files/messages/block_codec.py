@@ -30,7 +30,7 @@ _FLOATS = (np.dtype(">f4"), np.dtype("<f4"))
 class BlockHead(NamedTuple):
     """Head of a block: stamp (ns) and running count of the first sample, declared period (s), number of samples.
 
-    ``end`` is the position of the first array in the message.
+    ``end`` is the position of the first array in the message, ``frame`` its frame_id.
     """
 
     stamp: int
@@ -38,6 +38,7 @@ class BlockHead(NamedTuple):
     sample_period: float
     samples: int
     end: int = 0
+    frame: str = ""
 
 
 class Block(NamedTuple):
@@ -96,7 +97,8 @@ def read_head(data: bytes | memoryview) -> BlockHead:
         raise ValueError("it ends too early") from None
     if nanoseconds >= NANOSECONDS:
         raise ValueError("its stamp has more than a second of nanoseconds")
-    return BlockHead(seconds * NANOSECONDS + nanoseconds, first_sample, sample_period, samples, position + 16)
+    frame = bytes(data[16 : 15 + length]).decode(errors="replace")
+    return BlockHead(seconds * NANOSECONDS + nanoseconds, first_sample, sample_period, samples, position + 16, frame)
 
 
 def decode_block(data: bytes | memoryview, fields: int) -> Block:

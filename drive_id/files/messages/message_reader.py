@@ -35,6 +35,7 @@ class MessageSamples(NamedTuple):
     first_sample: int | IntArray | None  # running count of the first sample, or of each (n,)
     sample_period: float | None  # s
     columns: tuple[NDArray[np.floating], ...]  # each (n,), float32 or float64
+    frame: str | None = None  # frame_id of one of our messages, whose count is that of a drive
 
 
 Reader = Callable[[RawMessage], MessageSamples]
@@ -111,7 +112,8 @@ def _block_reader(columns: list[int], count: int, source: TimeSource) -> Reader:
     def read(message: RawMessage) -> MessageSamples:
         head, values = decode_block(message.data, count)
         stamp = message.log_time if logged else head.stamp
-        return MessageSamples(stamp, head.first_sample, head.sample_period, tuple(values[k] for k in columns))
+        chosen = tuple(values[k] for k in columns)
+        return MessageSamples(stamp, head.first_sample, head.sample_period, chosen, head.frame)
 
     return read
 

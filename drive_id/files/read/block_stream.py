@@ -38,7 +38,7 @@ class BlockStream:
                 "its publisher."
             )
         lost, losses = self.count.lost, self.count.losses
-        self.count.add(head.first_sample, head.samples)
+        self.count.add(head.first_sample, head.samples, head.stamp, period)
         return Signal(
             name=self.topic,
             stamp=block_stamps(head.stamp, head.samples, period),

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
+from drive_id.core.signals.join import SECTIONS
 from drive_id.core.signals.signal import SampleCount, Signal
 from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
 from drive_id.files.messages.block_codec import LONGEST_PERIOD
@@ -18,7 +19,7 @@ from drive_id.files.messages.message_reader import DECODE_ERRORS, STAMP_LIMIT, M
 from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, TimeSource
 from drive_id.files.read.memory import MemoryGuard
 from drive_id.files.storage.bag import Bag
-from drive_id.files.storage.container import TopicInfo
+from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.messages import Message
 from drive_id.types import SCALARS, FloatArray, IntArray
 
@@ -31,6 +32,10 @@ INTERPOLATED = (*SCALARS, VOLTAGE_SCALE)
 
 class UnusualError(Exception):
     """The bag cannot be read part by part: read it as a whole."""
+
+
+class DividedError(Exception):
+    """The drive was restarted or exchanged within the bag: read each of its parts by itself."""
 
 
 class SignalPart(NamedTuple):
@@ -66,6 +71,11 @@ class LogSignals:
             section: SignalBuilder(topics[section].name, section, source, blanks=blanks)
             for section, source in sources.items()
         }
+
+    @property
+    def divided(self) -> bool:
+        """Whether what has been read is of several drives."""
+        return False
 
     @property
     def continuous(self) -> bool:
@@ -151,20 +161,30 @@ class LogSignals:
 class SignalStream(LogSignals):
     """The signals of one drive in an open bag, whose ``topics`` are given by section of the signal map.
 
+    Of the messages on the topics of currents, voltages and resolver, only those of the numbers in ``part`` are read;
+    None: all.
+
     Raises MessageTypeError or EmptyTopicError, see :meth:`whole`.
     """
 
-    def __init__(self, bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo]) -> None:
+    def __init__(self, bag: Bag, signals: SignalMap, topics: dict[str, TopicInfo], part: range | None = None) -> None:
         sources = {section: source for section, source in signals.sources().items() if section in topics}
         super().__init__(bag.path, signals, sources, topics, sources)
         self._bag = bag
+        self._part = part
+        self._feedback = {topics[section].name for section in SECTIONS if section in topics}
         self._refuse_empty({section for section in sources if topics[section].count != 0})
         self._readers: dict[str, list[tuple[str, Reader]]] = defaultdict(list)
         for section, source in sources.items():
             self._readers[topics[section].name].append((section, message_reader(topics[section], source, signals)))
 
+    @property
+    def divided(self) -> bool:
+        """Whether what has been read of a whole bag is of several drives, or of one before and after a restart."""
+        return self._part is None and any(self._builders[section].divided for section in SECTIONS)
+
     def _pieces(self) -> Iterator[tuple[str, MessageSamples]]:
-        for message in self._bag.messages(frozenset(self._readers)):
+        for message in self._chosen(self._bag.messages(frozenset(self._readers))):
             for section, reader in self._readers[message.topic]:
                 try:
                     piece = reader(message)
@@ -176,6 +196,16 @@ class SignalStream(LogSignals):
                     ) from error
                 if len(piece.columns[0]):
                     yield section, piece
+
+    def _chosen(self, messages: Iterator[RawMessage]) -> Iterator[RawMessage]:
+        if self._part is None:
+            yield from messages
+            return
+        number = 0
+        for message in messages:
+            if number in self._part:
+                yield message
+            number += message.topic in self._feedback
 
     def _progress(self) -> float:
         return sum(storage.progress for storage in self._bag.storages) / max(len(self._bag.storages), 1)
@@ -195,6 +225,9 @@ class SignalBuilder:
         self.blank = 0
         """Samples left out because a value is missing."""
         self._blanks = blanks
+        self.divided = False
+        """Whether the messages are of several drives, or of one before and after a restart, by count and frame_id."""
+        self._frame: str | None = None
         self._begun = False
         self._count = SampleCount()
         self._read = 0
@@ -217,7 +250,7 @@ class SignalBuilder:
             first = first if first is None or len(first) == len(count) else None
         lost, losses = self._count.lost, self._count.losses
         if first is not None:
-            self._count.add_blocks(first, count)
+            self._add_counts(pieces, first, count, stamp)
         stamp, period = self._timed(stamp, first, count)
         start = np.concatenate(([0], np.cumsum(count)[:-1]))
         if count.max() > 1:
@@ -240,6 +273,17 @@ class SignalBuilder:
         self._check_time(int(stamp.min()), int(stamp.max()))
         lost, losses = self._count.lost - lost, self._count.losses - losses  # late blocks undo losses
         return Signal(self.topic, stamp, values, period, start, lost, losses)
+
+    def _add_counts(self, pieces: list[MessageSamples], first: NDArray[Any], count: IntArray, stamp: IntArray) -> None:
+        """Count messages; only the counts of our own are those of a drive, whatever those of others start again for."""
+        frames = {piece.frame for piece in pieces}
+        if None in frames or len(stamp) != len(first):
+            self._count.add_blocks(first, count)
+            return
+        restarts = self._count.restarts
+        self._count.add_blocks(first, count, stamp, self.period or 0.0)
+        self._frame = pieces[0].frame if self._frame is None else self._frame
+        self.divided |= self._count.restarts > restarts or frames != {self._frame}
 
     def _timed(self, stamp: IntArray, first: NDArray[Any] | None, count: IntArray) -> tuple[IntArray, float | None]:
         """Return stamps of messages (B,), ns, as the source says how to take them, and the period, s, if known."""

@@ -22,7 +22,14 @@ from drive_id.files.messages.messages import SCALAR_SAMPLES
 from drive_id.files.messages.signals_file import SignalMap, our_scalar
 from drive_id.files.read.column_stream import ColumnStream
 from drive_id.files.read.conversion import conversions, rotor_at_currents, undecimated
-from drive_id.files.read.extraction import INTERPOLATED, LogSignals, SignalPart, SignalStream, UnusualError
+from drive_id.files.read.extraction import (
+    INTERPOLATED,
+    DividedError,
+    LogSignals,
+    SignalPart,
+    SignalStream,
+    UnusualError,
+)
 from drive_id.files.read.info import printable_errors
 from drive_id.files.storage.bag import Bag, file_digest, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
@@ -77,17 +84,22 @@ def bag_pieces(
     threads: bool = True,
     tell: Callable[[float], None] = lambda _: None,
     end: Callable[[BagFacts], None] = lambda _: None,
+    part: range | None = None,
 ) -> Iterator[Piece]:
     """Yield the joined samples of a bag in order of time, in bounded memory.
 
-    ``whole`` reads all of the bag before joining, for those that raise UnusualError otherwise; with ``threads``, others
-    read, unpack and join ahead. ``tell`` is called with the part of the bag that has been read, 0 to 1, and ``end``
-    with what is known when all of it has been read.
+    ``part`` is as in :class:`~drive_id.files.read.extraction.SignalStream`. ``whole`` reads all of the bag before
+    joining, for those that raise UnusualError otherwise; with ``threads``, others read, unpack and join ahead. ``tell``
+    is called with the part of the bag that has been read, 0 to 1, and ``end`` with what is known when all of it has
+    been read.
 
-    Raises UnusualError when the bag must be read as a whole: discard the pieces yielded so far. For the other errors,
-    see :func:`~drive_id.files.read.several.read_recording`.
+    Raises UnusualError when the bag must be read as a whole, and DividedError when it must be read by its parts, see
+    :func:`~drive_id.files.read.drive_parts.drive_parts`: discard the pieces yielded so far. For the other errors, see
+    :func:`~drive_id.files.read.several.read_recording`.
     """
-    with _opened(path, signals, namespace) as (log, truth, stream):
+    with _opened(path, signals, namespace, part=part) as (log, truth, stream):
+        if part is None and isinstance(log, Bag) and log.metadata is not None and log.metadata.changes:
+            raise DividedError
         if whole or not stream.continuous:
             result = _joined_at_once(path, stream, signals)
             warnings = list(result.report.warnings)
@@ -110,7 +122,7 @@ def guesses(signals: SignalMap) -> Iterator[Message]:
 
 @contextmanager
 def _opened(
-    path: Path, signals: SignalMap, namespace: str, *, angle: bool = True
+    path: Path, signals: SignalMap, namespace: str, *, angle: bool = True, part: range | None = None
 ) -> Iterator[tuple[Bag | ColumnLog, GroundTruth | None, LogSignals]]:
     if angle and not signals.resolver.angle:
         raise ConfigurationError(
@@ -125,11 +137,13 @@ def _opened(
         topics = find_topics(bag, signals, namespace)
         data = bag.attachment(TRUTH_ATTACHMENT)
         truth = None if data is None else decode_truth(data, str(path))
-        yield bag, truth, SignalStream(bag, signals, topics)
+        yield bag, truth, SignalStream(bag, signals, topics, part)
 
 
 def _joined_at_once(path: Path, stream: LogSignals, signals: SignalMap) -> JoinResult:
     found = stream.whole()
+    if stream.divided:
+        raise DividedError
     with _naming(path):
         resolver, angle_error, said = rotor_at_currents(found, signals)
         result = join(
@@ -175,6 +189,8 @@ def _joined(
     before: SignalPart | None = None
     with closing(prefetched(stream.parts(), _AHEAD, threads)) as parts:
         for part in parts:
+            if stream.divided:
+                raise DividedError
             references.add(part)  # one part ahead: a set-point may be stored behind the samples it is due at
             for name in INTERPOLATED:
                 if name in part.signals:

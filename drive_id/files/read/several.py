@@ -12,6 +12,8 @@ from drive_id.core.signals.join import Piece
 from drive_id.core.signals.pieces import SeveralRecordings, common_truth
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.messages.signals_file import SignalMap
+from drive_id.files.read.drive_parts import DrivePart, drive_parts
+from drive_id.files.read.extraction import DividedError
 from drive_id.files.read.reader import BagFacts, bag_pieces
 from drive_id.files.storage.bag import file_digest, storage_files
 from drive_id.messages import Message
@@ -56,7 +58,12 @@ def read_recording(paths: Path | Sequence[Path], signals: SignalMap | None = Non
     if not bags:
         raise ConfigurationError("No bag is given: name at least one.")
     reading = SeveralBags(bags, signals or SignalMap(), namespace, silent, threads=False, whole=True)
-    parts = [piece.samples for piece, _ in reading.pieces("Reading")]
+    while True:
+        try:
+            parts = [piece.samples for piece, _ in reading.pieces("Reading")]
+            break
+        except DividedError:
+            reading.divide()
     samples = parts[0] if len(parts) == 1 else Samples.joined(parts)
     return JoinedLog(samples, reading.truth, digests_of(bags), reading.warnings)
 
@@ -83,7 +90,9 @@ class SeveralBags:
         self._threads = threads
         self._whole: set[int] = set(range(len(bags))) if whole else set()
         self._number = 0
-        self._facts: list[BagFacts] = []
+        self._part: DrivePart | None = None
+        self._parts: dict[int, list[DrivePart]] = {}  # of bags in which the drive was restarted or exchanged
+        self._facts: list[tuple[Path, BagFacts]] = []
         self._several = SeveralRecordings()
         self._start = 0.0
 
@@ -95,52 +104,71 @@ class SeveralBags:
     @property
     def truth(self) -> GroundTruth | None:
         """The ground truth; None unless all bags have it."""
-        return common_truth([facts.truth for facts in self._facts])
+        return common_truth([facts.truth for _, facts in self._facts])
 
     @property
     def warnings(self) -> tuple[Message, ...]:
         """Sentences about the recordings."""
+        changes = [part.reason for parts in self._parts.values() for part in parts if part.reason is not None]
         if len(self._bags) == 1:
-            return self._facts[0].warnings
-        known = zip(self._bags, self._facts, strict=True)
-        moved = [Message("overlap", recording=str(self._bags[k])) for k in self._several.moved]
-        return (*(message.of(path) for path, facts in known for message in facts.warnings), *moved)
+            return (*changes, *dict.fromkeys(warning for _, facts in self._facts for warning in facts.warnings))
+        moved = [Message("overlap", recording=str(self._bags[k])) for k in self._several.moved if k < len(self._bags)]
+        known = dict.fromkeys(message.of(path) for path, facts in self._facts for message in facts.warnings)
+        return (*changes, *known, *moved)
 
     @property
     def unchecked(self) -> tuple[str, ...]:
         """Paths of the bags without checksums."""
-        known = zip(self._bags, self._facts, strict=True)
-        return tuple(str(path) for path, facts in known if not facts.checked)
+        return tuple(dict.fromkeys(str(path) for path, facts in self._facts if not facts.checked))
 
     def read_whole(self) -> None:
         """From now on, read the bag that raised UnusualError as a whole."""
         self._whole.add(self._number)
 
+    def divide(self) -> None:
+        """From now on, read the bag that raised DividedError by the parts in which the drive was the same."""
+        self._parts[self._number] = drive_parts(self._bags[self._number], self._signals, self._namespace)
+
+    @property
+    def present(self) -> tuple[int, DrivePart | None]:
+        """Number of the bag that is being read, and its part; None if the drive was the same in all of it."""
+        return self._number, self._part
+
+    @property
+    def divided(self) -> bool:
+        """Whether the drive was restarted or exchanged within a bag."""
+        return bool(self._parts)
+
     def pieces(self, what: str) -> Iterator[tuple[Piece, bool]]:
-        """Yield the samples of all bags piece by piece, each with whether it is the first of a bag.
+        """Yield the samples of all bags piece by piece, each with whether it is the first of a bag or of a part of one.
 
         ``what`` is told with the progress. For the errors, see :func:`~drive_id.files.read.reader.bag_pieces`.
         """
         self._facts, self._several = [], SeveralRecordings()
         self.samples, self._start = 0, time.monotonic()
         for number, path in enumerate(self._bags):
-            self._number = number
-            self._several.begin()
-            tell = partial(self._tell_share, what)
-            tell(0.0)
-            pieces = bag_pieces(
-                path,
-                self._signals,
-                self._namespace,
-                whole=number in self._whole,
-                threads=self._threads,
-                tell=tell,
-                end=self._facts.append,
-            )
-            for count, piece in enumerate(pieces):
-                self.samples += len(piece.samples) - piece.continues
-                yield self._several.placed(piece), count == 0
-            tell(1.0)
+            for part in self._parts.get(number) or [None]:
+                self._number, self._part = number, part
+                yield from self._of_part(what, path, part)
+
+    def _of_part(self, what: str, path: Path, part: DrivePart | None) -> Iterator[tuple[Piece, bool]]:
+        self._several.begin()
+        tell = partial(self._tell_share, what)
+        tell(0.0)
+        pieces = bag_pieces(
+            path,
+            self._signals,
+            self._namespace,
+            whole=self._number in self._whole,
+            threads=self._threads,
+            tell=tell,
+            end=lambda facts: self._facts.append((path, facts)),
+            part=None if part is None else range(part.begin, part.end),
+        )
+        for count, piece in enumerate(pieces):
+            self.samples += len(piece.samples) - piece.continues
+            yield self._several.placed(piece), count == 0
+        tell(1.0)
 
     def _tell_share(self, what: str, share: float) -> None:
         elapsed = time.monotonic() - self._start

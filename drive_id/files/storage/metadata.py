@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -22,6 +23,13 @@ _MOST_FILES = 20_000  # a file a minute for two weeks
 _MOST_TOPICS = 20_000  # far more than any robot has
 
 
+class ChangeMark(NamedTuple):
+    """Where our recorder saw another drive begin: log time of the first message, ns, and why."""
+
+    log_time: int
+    reason: str
+
+
 @dataclass(frozen=True)
 class BagMetadata:
     """Content of ``metadata.yaml``: files in order, message counts and types by topic, compression of messages."""
@@ -30,6 +38,7 @@ class BagMetadata:
     counts: dict[str, int]
     types: dict[str, str]
     message_compression: str
+    changes: tuple[ChangeMark, ...] = ()
 
 
 def read_metadata(path: Path) -> BagMetadata:
@@ -65,7 +74,18 @@ def _parsed(path: Path) -> BagMetadata:
     mode, form = information.get("compression_mode"), information.get("compression_format")
     compression = form if isinstance(mode, str) and mode.lower() == "message" and isinstance(form, str) else ""
     names = tuple(PurePosixPath(name).name for name in files)
-    return BagMetadata(names, counts, types, compression)
+    return BagMetadata(names, counts, types, compression, tuple(_changes(information.get("custom_data"))))
+
+
+def _changes(custom: Any) -> Iterator[ChangeMark]:
+    """Yield the marks of our recorder; custom data of others are of no concern."""
+    if not isinstance(custom, dict):
+        return
+    for number in count(2):
+        begins, reason = (custom.get(f"recording_{number}:{name}") for name in ("begins", "because"))
+        if not (isinstance(begins, str) and begins.isdecimal() and len(begins) < 20 and isinstance(reason, str)):
+            return
+        yield ChangeMark(int(begins), reason)
 
 
 def _item(tree: Any, key: str, kind: type) -> Any:

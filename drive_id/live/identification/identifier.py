@@ -29,10 +29,11 @@ from drive_id.health import Health, Level, Observation
 from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.live_evidence import LiveEvidence, Snapshot
+from drive_id.live.identification.live_parts import BEFORE, LiveParts
 from drive_id.live.identification.operating_points import PointDecimator
 from drive_id.live.identification.refits import Refit, RefitJob, Refits, moving, of_snapshot
 from drive_id.live.identification.result_folders import LastMap, ResultFolders, new_folder
-from drive_id.live.publishers import Publisher, publisher_findings, uncounted
+from drive_id.live.publishers import Publisher, of_type, publisher_findings, uncounted
 from drive_id.live.translator import SignalBlock
 from drive_id.live.worker import Cancelled
 from drive_id.messages import Message
@@ -97,21 +98,39 @@ class Identifier:
         self.operating_points = PointDecimator(settings.operating_point_rate)
         self.topics = topics
         self._scalar_topics = dict(scalar_topics or {name: name for name in SCALARS})
-        self.live = LiveEvidence(fit, topics)
+        self._parts = LiveParts(LiveEvidence(fit, topics))
         self.refits = Refits(settings)
         self._begin()
         self._unreadable = 0
         self._last_error = ""
         self._forgotten = ""  # a sentence on why
 
+    @property
+    def live(self) -> LiveEvidence:
+        """The samples of the present drive."""
+        return self._parts.present
+
+    @property
+    def life(self) -> int:
+        """Number of times that samples were forgotten, or another drive began: a fit of those before is of no use."""
+        return self._parts.life
+
     def receive(self, section: int, data: bytes) -> None:
         """Take one serialized message of currents (0), voltages (1) or resolver (2)."""
         try:
+            if self._parts.block(self.topics[section], data):
+                self._begin()
             piece = self._streams[section].decode(data)
             self.operating_points.add(section, piece)
             self.live.add(section, piece)
         except DriveIdError as error:
             self._note(error)
+
+    def publishers(self, found: Sequence[Sequence[Publisher]]) -> None:
+        """Take who publishes each of the three signals; look several times a second."""
+        for topic, kind, each in zip(self.topics, TYPES, found, strict=True):
+            if self._parts.publishers(topic, of_type(each, kind)):
+                self._begin()
 
     def receive_block(self, block: SignalBlock) -> None:
         """Take translated samples of a bench's own topics."""
@@ -132,7 +151,7 @@ class Identifier:
 
     def configure(self, fit: FitSettings) -> bool:
         """Take other settings, and tell whether the live samples had to be forgotten."""
-        forgotten = self.live.configure(fit)
+        forgotten = self._parts.configure(fit)
         if forgotten:
             self._begin()
             self._forgotten = "The live samples before were forgotten, because the settings of the fit have changed."
@@ -140,7 +159,7 @@ class Identifier:
 
     def reset(self) -> None:
         """Forget the live samples."""
-        self.live.reset()
+        self._parts.reset()
         self._begin()
         self._unreadable, self._last_error, self._forgotten = 0, "", ""
 
@@ -152,7 +171,12 @@ class Identifier:
         self._scalar_streams = {name: BlockStream(topic, SCALAR_SAMPLES) for name, topic in scalars}
 
     def job(
-        self, bags: Sequence[str], method: str, signals: str = "", names: Mapping[str, str] = MappingProxyType({})
+        self,
+        bags: Sequence[str],
+        method: str,
+        signals: str = "",
+        names: Mapping[str, str] = MappingProxyType({}),
+        part: str = "",
     ) -> Job:
         """Make a job of a request, to be run in another thread.
 
@@ -166,9 +190,13 @@ class Identifier:
             Signals file for the bags; empty: our messages under the names of this drive.
         names : mapping of str to str
             Of machine, serial, bench, operator and notes; those that are empty are as in the settings.
+        part : str
+            Of live samples of two drives: those of the one ``before`` or ``after`` the change.
 
         Raises
         ------
+        DriveChangedError
+            When the live samples are of two drives, and no part is named.
         DriveIdError
             When the request makes no sense, or the signals file cannot be read.
         """
@@ -176,15 +204,19 @@ class Identifier:
         given: dict[str, Any] = {name: text for name, text in names.items() if text}
         named = replace(fit, **given)
         if bags:
+            if part:
+                raise ConfigurationError("The request names a part and bags: a part is of the live samples only.")
             own = read_signals(Path(signals).expanduser()) if signals else self._signals()
             work = partial(_fit_bags, tuple(bags), own, bool(signals), named, self.settings)
             return partial(_guarded, self.folders, work)
         if signals:
             raise ConfigurationError("The request names a signals file, but no bags: it is for bags only.")
-        snapshot = self.live.snapshot(method)
+        live = self._parts.chosen(part)
+        snapshot = live.snapshot(method)
         samples = moving(snapshot.gathered.evidence) + sum(len(piece.samples) for piece in snapshot.rest)
-        earlier = self.refits.earlier(fit, samples)
-        work = partial(_fit_live, snapshot, earlier, named, self.settings, self._forgotten)
+        earlier = self.refits.earlier(fit, samples) if live is self.live else None
+        surest = self.refits.surest if live is self.live and fit == self.live.settings else None
+        work = partial(_fit_live, snapshot, earlier, named, self.settings, self._forgotten, part, surest)
         return partial(_guarded, self.folders, work)
 
     def refit(self) -> RefitJob | None:
@@ -245,6 +277,7 @@ class Identifier:
         if evidence is None:
             sentence = "Live samples are not accumulated, for i_max is not set: set it to the disc's radius in A."
             findings.append((Level.WARN, sentence))
+        findings += self._parts.findings()
         findings.append((Level.OK, self._forgotten or f"{report.samples} live samples."))
         return Health.of(doing, findings, values)
 
@@ -335,6 +368,8 @@ def _fit_live(
     fit: FitSettings,
     settings: IdentificationSettings,
     forgotten: str,
+    part: str,
+    surest: tuple[int, float] | None,
     tell: Progress,
 ) -> Reply:
     output = new_folder(settings, fit.method)
@@ -345,8 +380,9 @@ def _fit_live(
     except DriveIdError as error:
         return replace(failed(error, snapshot.join.report()), message=" ".join(filter(None, [str(error), forgotten])))
     evidence = snapshot.gathered.evidence
+    doubt = refit.doubt(surest)
     result = completed(
-        refit.drive,
+        replace(refit.drive, statements=(*refit.drive.statements, *([] if doubt is None else [doubt]))),
         fit,
         excerpts=snapshot.validation(),
         duration=evidence.samples * evidence.sample_period,
@@ -355,7 +391,9 @@ def _fit_live(
     )
     tell("Writing", None)
     replace(result, evidence=evidence).save(output, draw=settings.picture)
-    return replace(_reply(result, output, snapshot.join.report()), refit=refit)
+    reply = _reply(result, output, snapshot.join.report())
+    said = f"Of the samples {part} the change: {reply.message}" if part else reply.message
+    return replace(reply, message=said, refit=None if part == BEFORE else refit)
 
 
 def _sentence(identification: IdentifiedDrive) -> str:

@@ -99,6 +99,10 @@ class LiveEvidence:
         """Of all samples so far; None without i_max."""
         return None if self._gathered is None else self._gathered.evidence
 
+    def successor(self) -> LiveEvidence:
+        """Return an empty one with the same settings."""
+        return LiveEvidence(self.settings, self._names)
+
     def reset(self) -> None:
         """Forget all samples."""
         self.join = StreamJoin(self._names, wait=_WAIT)

@@ -15,9 +15,11 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import interruptible
 from drive_id.core.result.conclusion import Conclusion
 from drive_id.core.result.identification import IdentifiedDrive
+from drive_id.core.result.resistance_error import growth
 from drive_id.errors import DriveIdError
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.live_evidence import LiveEvidence, Snapshot
+from drive_id.messages import Message
 from drive_id.origins import ORIGINS
 from drive_id.types import Progress
 
@@ -44,6 +46,13 @@ class Refit:
     def drive(self) -> IdentifiedDrive:
         """The identified drive."""
         return self.conclusion.drive
+
+    def doubt(self, surest: tuple[int, float] | None) -> Message | None:
+        """Return why R is less certain than it was from fewer samples; None if it is not."""
+        fit = self.conclusion.fit
+        if surest is None or fit is None or surest[0] >= self.samples:
+            return None
+        return growth(fit.assessment, self.drive.sigma_resistance, surest)
 
 
 def moving(evidence: Evidence) -> int:
@@ -80,6 +89,8 @@ class Refits:
         """Discard the last fit when its samples are discarded."""
         self._selected: Refit | None = None
         self._latest: Refit | None = None
+        self.surest: tuple[int, float] | None = None
+        """Samples and standard error of R, ohm, of the fit so far whose R was the most certain."""
         self._finished = self._provisional_due = -np.inf
         self._seen = 0
         self.error = ""
@@ -126,6 +137,9 @@ class Refits:
         """Keep a finished fit of the present samples, from the background or for a request."""
         self.error, self._finished = "", self._clock()
         self._latest = refit
+        sigma = refit.drive.sigma_resistance
+        if self.surest is None or sigma < self.surest[1]:
+            self.surest = refit.samples, sigma
         if refit.selected:
             self._selected = refit
 

@@ -65,7 +65,7 @@ def recorder_health(
 def _recording_findings(report: RecordingReport, queue_size: float) -> list[Observation]:
     if report.error:
         return [(Level.ERROR, report.error)]
-    findings = []
+    findings = [(Level.WARN, report.division())] if report.changes else []
     if report.waiting > 0.5e6 * queue_size:
         samples, megabytes = sum(topic.queued for topic in report.topics), report.waiting / 1e6
         findings.append((Level.WARN, f"The disk is too slow: {samples} samples, {megabytes:.1f} MB, wait for it."))

@@ -5,7 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from drive_id.messages import Message
 from drive_id.types import NANOSECONDS
+
+
+@dataclass(frozen=True)
+class DriveChange:
+    """A place in a recording from which on it is of another drive, or of the same one after its restart."""
+
+    reason: Message
+    log_time: int  # of the first message behind it, ns
+    after: float  # time from the first message of the recording, s
 
 
 @dataclass(frozen=True)
@@ -56,6 +66,7 @@ class RecordingReport:
     error: str = ""  # why the recording ended by itself; empty when it did not
     remark: str = ""  # a sentence on what is wrong with the log times; empty if nothing is
     free: int | None = None  # on the disk at the last flush, bytes; None when that is unknown
+    changes: tuple[DriveChange, ...] = ()  # each begins another recording in the bag
 
     @property
     def messages(self) -> int:
@@ -97,8 +108,15 @@ class RecordingReport:
         return f"{text}; {lost}{silent}."
 
     def outcome(self) -> str:
-        """Return the error, if there was one, the sentence, and the remark."""
-        return " ".join(filter(None, [self.error, self.sentence(), self.remark]))
+        """Return the error, if there was one, the sentence, the changes of the drive, and the remark."""
+        return " ".join(filter(None, [self.error, self.sentence(), self.division(), self.remark]))
+
+    def division(self) -> str:
+        """Return a sentence or two on the recordings of several drives in the bag; empty if there is one only."""
+        if not self.changes:
+            return ""
+        first, recordings = self.changes[0], len(self.changes) + 1
+        return f"The bag holds {recordings} recordings, the second from {first.after:.3f} s on: {first.reason}"
 
     def custom_data(self) -> dict[str, str]:
         """Return the figures for the metadata of the bag."""
@@ -107,5 +125,10 @@ class RecordingReport:
             data[f"samples_received:{topic.topic}"] = str(topic.received)
             data[f"samples_written:{topic.topic}"] = str(topic.written)
             data[f"samples_lost:{topic.topic}"] = str(topic.dropped)
+        if self.changes:
+            data["recordings"] = str(len(self.changes) + 1)
+        for number, change in enumerate(self.changes, 2):
+            data[f"recording_{number}:begins"] = str(change.log_time)  # log time, ns, as in the files of the bag
+            data[f"recording_{number}:because"] = str(change.reason)
         remarks = {"error": self.error, "remark": self.remark}
         return data | {name: said for name, said in remarks.items() if said}

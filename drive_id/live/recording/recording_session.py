@@ -12,18 +12,26 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from drive_id.core.signals.drive_watch import DriveWatch
 from drive_id.core.signals.signal import SampleCount
 from drive_id.errors import DriveIdError
 from drive_id.files.messages.block_codec import BlockHead, read_head
+from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
 from drive_id.files.storage.mcap import McapStorage
 from drive_id.files.storage.metadata import Qos
 from drive_id.files.write.rosbag2_writer import FileOpener, Rosbag2McapWriter, open_unbuffered
-from drive_id.live.recording.recording_report import RecordingReport, TopicReport
+from drive_id.live.publishers import Publisher
+from drive_id.live.recording.recording_report import DriveChange, RecordingReport, TopicReport
 from drive_id.live.recording.recording_settings import RecordingSettings
+from drive_id.messages import Message
 from drive_id.types import NANOSECONDS
 
 _POLL = 0.05  # s; the writer looks for messages so often, so that callbacks need not wake it
 _OVERHEAD = 250  # bytes a message costs in the queue beyond its data
+_FEEDBACK = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
+"""Types of the topics whose counts are those of the drive; references have that of their publisher."""
+_BURST = 1.0
+"""Time within which one change of the drive is told of, s: two drives that publish at once mix block by block."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +132,9 @@ class RecordingSession:
         """A sentence on the log times for report and metadata, by the receiving thread."""
         self.paused = False
         """Whether messages are left out at present."""
+        self._watch = DriveWatch()
+        self._changes: list[DriveChange] = []
+        self._begun: int | None = None  # log time of the first message of the drive, ns
         self._open, self._failed = True, False
         self._stopping = threading.Event()
         self._writer = Rosbag2McapWriter(
@@ -159,6 +170,7 @@ class RecordingSession:
     def resume(self) -> None:
         """Record again."""
         self.paused = False
+        self._watch.interrupt()
         for received in self._received.values():
             received.count.interrupt()
 
@@ -166,6 +178,11 @@ class RecordingSession:
         """Continue in a new file, behind all that was received."""
         if self._open:
             self._queue.append(_SPLIT)
+
+    def publishers(self, topic: str, found: Sequence[Publisher], log_time: int) -> None:
+        """Take who publishes a topic; to be called by the receiving thread, several times a second."""
+        if topic in self._topics and self._topics[topic].type_name in _FEEDBACK:
+            self._divide(self._watch.publishers(topic, {each.identity: each.node for each in found}), log_time)
 
     def receive(self, topic: str, data: bytes, log_time: int) -> None:
         """Count a message and enqueue it; to be called by one thread.
@@ -187,13 +204,25 @@ class RecordingSession:
             received.count.samples += 1
             received.count.blocks += 1
         else:
-            received.count.add(head.first_sample, head.samples)
+            block = (head.first_sample, head.samples, head.stamp, head.sample_period)
+            if self._topics[topic].type_name in _FEEDBACK:
+                self._divide(self._watch.block(topic, *block, head.frame), log_time)
+                self._begun = log_time if self._begun is None else self._begun
+            received.count.add(*block)
         size = len(data) + _OVERHEAD
         if self._bytes_in - self._bytes_out + size > self._limit:
             received.overflowed += head.samples if head else 0
             return
         self._queue.append(_Waiting(topic, data, log_time, head))
         self._bytes_in += size
+
+    def _divide(self, reason: Message | None, log_time: int) -> None:
+        """Begin another recording in the bag, in a file of its own, unless it is empty so far."""
+        if reason is None or self._begun is None:
+            return
+        if not self._changes or log_time - self._changes[-1].log_time > _BURST * NANOSECONDS:
+            self._changes.append(DriveChange(reason, log_time, (log_time - self._begun) / NANOSECONDS))
+            self.split()
 
     def stop(self, patience: float | None = None) -> bool:
         """Write the queue to the disk and complete the bag; may be called again.
@@ -231,8 +260,9 @@ class RecordingSession:
         files = self._writer.files
         waiting = self._bytes_in - self._bytes_out
         return RecordingReport(
-            self.path, tuple(topics), len(files), self._writer.size, waiting, self.error, self.remark, self._free
-        )
+            self.path, tuple(topics), len(files), self._writer.size, waiting, self.error, self.remark, self._free,
+            tuple(self._changes),
+        )  # fmt: skip
 
     # -- the writing thread ----------------------------------------------------------------------------------------
 

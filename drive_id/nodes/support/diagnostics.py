@@ -11,6 +11,16 @@ from drive_id.health import Health
 from drive_id.nodes.support.clocks import STEADY
 
 _PERIOD = 1.0  # s
+_NAMED_TWICE = (
+    "Another node is named {name} as well, and what both keep on their topics overwrites each other: end one, or give "
+    "it a namespace; one that was killed is seen for some 20 s."
+)
+
+
+def _twins(node: Node) -> int:
+    """Return the number of nodes in the graph with the full name of a node, itself included."""
+    own = (node.get_name(), node.get_namespace())
+    return sum(each == own for each in node.get_node_names_and_namespaces())
 
 
 def publish_health(node: Node, read: Callable[[], Health]) -> None:
@@ -19,6 +29,8 @@ def publish_health(node: Node, read: Callable[[], Health]) -> None:
 
     def publish() -> None:
         health = read()
+        if _twins(node) > 1:
+            health = health.with_warning(_NAMED_TWICE.format(name=node.get_fully_qualified_name()))
         status = DiagnosticStatus(
             level=bytes([health.level]),
             name=node.get_fully_qualified_name(),

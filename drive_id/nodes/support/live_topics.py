@@ -82,6 +82,8 @@ class LiveTopics:
     def _match(self) -> None:
         for topic in (*self._topics, *self._scalars):
             topic.match()
+        if self._topics:
+            self._identifier.publishers(self.publishers())
         if self._foreign is not None:
             self._foreign.match()
 

@@ -133,4 +133,5 @@ def _publisher(info: Any) -> Publisher:
         info.qos_profile.reliability != ReliabilityPolicy.BEST_EFFORT,
         info.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL,
         info.qos_profile.depth,
+        bytes(info.endpoint_gid).hex(),
     )

@@ -10,6 +10,7 @@ from drive_id_msgs.msg import CurrentReference, ScalarSamples
 from rclpy.node import Node
 
 from drive_id.files.messages.messages import type_hash
+from drive_id.live.publishers import Publisher, of_type
 from drive_id.live.recording.recorder_health import TopicState
 from drive_id.live.recording.recording_session import RecordedTopic
 from drive_id.nodes.support.extra_topics import ExtraTopics
@@ -54,6 +55,10 @@ class RecordedTopics:
         for topic in self._topics:
             topic.match()
         return self.extra.match() if self._topics else []
+
+    def publishers(self) -> dict[str, list[Publisher]]:
+        """Return who publishes each of the drive's topics as it should be."""
+        return {topic.topic: of_type(topic.publishers, topic.type_name) for topic in self._topics}
 
     def drain(self) -> None:
         """Take all messages that have arrived before now."""

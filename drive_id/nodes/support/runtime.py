@@ -1,4 +1,4 @@
-"""Running a node as a process: the fastest executor that works, and a clean end on SIGINT and SIGTERM."""
+"""Running a node as a process: the fastest executor that works, and a clean end on SIGINT, SIGTERM and SIGHUP."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NoReturn
 
 import rclpy
@@ -24,14 +25,15 @@ from drive_id.nodes.support.arguments import ros_arguments, warn_of_unknown_para
 from drive_id.nodes.support.middleware import fast_dds
 from drive_id.nodes.support.shared_memory import SharedMemoryPorts
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM)
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""SIGHUP tells that the terminal was closed or the connection was lost; with nohup, it is ignored from the start."""
 _POINT = ". A DOUBLE is written with a decimal point, as in 300.0."
 _WAKE_UP = 0.1  # s after which an idle node notices a signal at the latest
 _LISTEN = 0.5  # s between looks at whether the process still hears others
 
 
 class Stop:
-    """Records the first SIGINT or SIGTERM, and raises nothing: an exception anywhere in a start may end in a traceback.
+    """Records the first of the signals, and raises nothing: an exception anywhere in a start may end in a traceback.
 
     rclpy's own handlers invalidate the context before a node can publish its last messages.
     """
@@ -42,7 +44,8 @@ class Stop:
         """Why the process ends although nobody told it to; empty otherwise."""
         self._read_end, self._write_end = os.pipe()
         for number in SIGNALS:
-            signal.signal(number, lambda *_: self._ask())
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+                signal.signal(number, lambda *_: self._ask())
 
     def _ask(self) -> None:
         first, self.asked = not self.asked, True
@@ -102,7 +105,8 @@ def run(make: Callable[[], Node], *, shared_memory: bool = True) -> None:
             raise DriveIdError(stop.reason)
     except (DriveIdError, ParameterException) as error:
         remedy = _POINT if isinstance(error, InvalidParameterTypeException) and "DOUBLE" in str(error) else ""
-        sys.stderr.write(f"{make.__name__}: {error}{remedy}\n")
+        with suppress(OSError):  # the terminal may be gone
+            sys.stderr.write(f"{make.__name__}: {error}{remedy}\n")
         code = 1
     except ExternalShutdownException:
         pass  # somebody else shut the context down
@@ -127,8 +131,9 @@ def _leave(code: int) -> NoReturn:
     Finalizing takes seconds on a busy machine, waits for a fit inside compiled code, and Python 3.11 ends with SIGINT
     instead of the exit code if a KeyboardInterrupt has ever passed through an ``exec`` (numba's, for example).
     """
-    sys.stdout.flush()
-    sys.stderr.flush()
+    with suppress(OSError):  # the terminal may be gone
+        sys.stdout.flush()
+        sys.stderr.flush()
     ctypes.CDLL(None).fflush(None)  # logs of rcl on stdout
     os._exit(code)
 

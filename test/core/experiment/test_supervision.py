@@ -474,7 +474,10 @@ def test_the_emergency_stop_is_latched(running):
 def test_a_press_while_nothing_runs_is_latched_too(bench):
     for pressed in (True, False):
         bench.watched.emergency_stop(bench.now, bench.steady, pressed=pressed)
-    assert bench.start()[1] == "Not started: The emergency stop (emergency_stop) was pressed: call ~/clear_fault."
+    assert bench.start()[1] == (
+        "Not started: The emergency stop (emergency_stop) was pressed: clear it by characterize --clear-fault, or call "
+        "~/clear_fault."
+    )
     assert bench.clear()[0]
     assert bench.start()[0]
 

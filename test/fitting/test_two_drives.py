@@ -1,0 +1,133 @@
+"""A bag in which the drive was restarted or exchanged: one map only if its parts can be of one drive."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from drive_bags import TOPICS, blocks_of
+from synthetic import record, saturating_flux
+
+from drive_id.core.fit_settings import FitSettings
+from drive_id.errors import DriveChangedError
+from drive_id.files.messages.block_codec import encode_block
+from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
+from drive_id.fitting.fit import accumulate_bags, fit_bags
+from drive_id.fitting.sources import Sources, read_bag
+from drive_id.inspection.inspect import check
+
+SETTINGS = FitSettings("joint", i_max=300.0)
+MARKED = {"recordings": "2", "recording_2:because": "/other publishes besides /drive: stop one of the two drives."}
+
+
+def stronger(i_dq):
+    return 1.2 * saturating_flux(i_dq)
+
+
+DRIVES = {
+    "first": partial(record, resistance=0.010),
+    "hot": partial(record, resistance=0.0101),
+    "double": partial(record, resistance=0.020),
+    "more": partial(record, resistance=0.0115),
+    "other": partial(record, stronger, resistance=0.010),
+}
+
+
+@pytest.fixture(scope="module")
+def drives():
+    """Samples, 3 s each."""
+    return {name: make(duration=3.0, noise=0.02, seed=k) for k, (name, make) in enumerate(DRIVES.items())}
+
+
+def write(path, parts, gap=1.5, frames=("drive", "drive", "drive"), counts=(0, 0, 0), custom=None):
+    """Record the samples of one drive behind those of another, ``gap`` s later."""
+    shift = 0
+    with Rosbag2McapWriter(path) as writer:
+        for topic, kind in TOPICS.items():
+            writer.add_topic(topic, kind)
+        for samples, frame, begin in zip(parts, frames, counts, strict=False):
+            queue = [(block["first"], topic, block) for topic, own in blocks_of(samples).items() for block in own]
+            for first, topic, block in sorted(queue, key=lambda entry: entry[:2]):
+                columns = [np.ascontiguousarray(column) for column in block["values"].T]
+                data = encode_block(block["stamp"] + shift, begin + first, block["period"], columns, frame)
+                writer.write(topic, data, block["stamp"] + shift)
+            end = int(samples.stamp[-1]) + shift
+            shift += int(samples.stamp[-1] - samples.stamp[0]) + round(gap * 1e9)
+        custom = custom and {**custom, "recording_2:begins": str(end - 3 * 10**9)}
+        writer.close(custom)
+    return path
+
+
+def fitted(path, **settings):
+    return fit_bags(Sources([path]), None, replace(SETTINGS, **settings))
+
+
+@pytest.mark.parametrize("other", ["double", "more", "other"])
+def test_an_exchanged_drive_is_refused(drives, tmp_path, other):
+    path = write(tmp_path / "bag", [drives["first"], drives[other]])
+    with pytest.raises(DriveChangedError) as refused:
+        fitted(path)
+    assert refused.value.code == "drive_changed"
+    assert "The count of /phase_currents went from 30000 to 0" in str(refused.value)
+    assert ("psi_PM is" if other == "other" else "R is") in str(refused.value)
+    with pytest.raises(DriveChangedError):
+        accumulate_bags(Sources([path]), tmp_path / "sums", SETTINGS)
+    assert not (tmp_path / "sums").exists()
+
+
+@pytest.mark.parametrize("again", ["first", "hot"])
+@pytest.mark.parametrize("gap", [-3600.0, 0.5, 1000.0])
+def test_a_restarted_drive_gives_one_map_of_both_parts(drives, tmp_path, again, gap):
+    """Whatever its clock says, which may begin anew as well."""
+    path = write(tmp_path / "bag", [drives["first"], drives[again]], gap)
+    found = fitted(path)
+    assert found.drive.report.samples_read == 60_000
+    codes = [warning.code for warning in found.warnings]
+    assert codes[:2] == ["another_drive", "same_drive"]
+    assert found.drive.resistance == pytest.approx(0.01, rel=0.03)
+    assert len(read_bag_samples(path)) == 60_000
+    assert "another_drive" in [finding.code for finding in check(path).warnings]
+
+
+def read_bag_samples(path):
+    with pytest.warns(UserWarning, match="restarted or exchanged"):
+        return read_bag(path)
+
+
+def test_other_signs_of_another_drive(drives, tmp_path):
+    parts, counts = [drives["first"], drives["double"]], (0, 30_000 + 15_000)
+    by_frame = write(tmp_path / "frame", parts, frames=("drive", "other"), counts=counts)
+    by_count = write(tmp_path / "count", parts, counts=(0, 900_000))
+    by_mark = write(tmp_path / "mark", parts, counts=counts, custom=MARKED)
+    for path, words in ((by_frame, "'drive' to 'other'"), (by_count, "to 900000"), (by_mark, "besides /drive")):
+        with pytest.raises(DriveChangedError, match=words):
+            fitted(path)
+
+
+def test_a_part_that_is_too_short_is_left_out(drives, tmp_path):
+    whole, rng = drives["double"], np.random.default_rng(0)
+    short = replace(whole, i_abc=whole.i_abc + 3.0 * rng.standard_normal((30_000, 3))).part(0, 3000)
+    path = write(tmp_path / "bag", [drives["first"], short])
+    found = fitted(path)
+    assert found.drive.report.samples_read == 30_000
+    assert [warning.code for warning in found.warnings][:2] == ["another_drive", "left_out"]
+    assert found.drive.resistance == pytest.approx(0.01, rel=0.03)
+
+
+def test_two_drives_at_once_are_refused(drives, tmp_path):
+    """Blocks of both in turn: no part holds more than one."""
+    one, other = (blocks_of(drives[name]) for name in ("first", "double"))
+    with Rosbag2McapWriter(tmp_path / "bag") as writer:
+        for topic, kind in TOPICS.items():
+            writer.add_topic(topic, kind)
+        for at in range(300):
+            for begin, blocks in ((0, one), (70_000, other)):
+                for topic in TOPICS:
+                    block = blocks[topic][at]
+                    columns = [np.ascontiguousarray(column) for column in block["values"].T]
+                    data = encode_block(block["stamp"], begin + block["first"], block["period"], columns, "drive")
+                    writer.write(topic, data, block["stamp"])
+    with pytest.raises(DriveChangedError, match="from one drive to another"):
+        fitted(tmp_path / "bag")

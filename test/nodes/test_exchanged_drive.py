@@ -1,0 +1,129 @@
+"""A drive that restarts, a second one, closed terminals: as processes, the nodes as they are installed."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+
+import pytest
+from odd_drive import OddDrive
+from ros_bench import DEADLINE, ros_bench
+
+pytestmark = pytest.mark.process
+
+CLEAR = [sys.executable, "-m", "drive_id.ros.characterize", "--clear-fault"]
+
+
+@pytest.fixture
+def ros():
+    with ros_bench() as bench:
+        yield bench
+
+
+def test_a_drive_that_restarts_is_told_of_by_all_who_listen(ros, tmp_path):
+    """Identification refuses one map, the recorder begins another recording, and both end on SIGHUP."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from drive_id_msgs.srv import Identify, StartRecording, StopRecording
+    from rcl_interfaces.srv import SetParameters
+    from rclpy.parameter import Parameter
+
+    said = {}
+    ros.node.create_subscription(
+        DiagnosticArray, "/diagnostics", lambda array: said.update({s.name: s for s in array.status}), 100
+    )
+    own = {"data_directory": str(tmp_path), "i_max": 100.0, "method": "joint", "refit_share": 0.0}
+    identification = ros.start(
+        "drive_id.nodes.identification", parameters={**own, "output_directory": str(tmp_path / "out")}
+    )
+    recorder = ros.start("drive_id.nodes.recorder", parameters={"data_directory": str(tmp_path)})
+    ros.wait(lambda: "Ready" in identification.output and "Ready" in recorder.output, "the nodes")
+    drive = ros.start("drive_id.nodes.bench_simulator")
+    assert ros.call(StartRecording, "/recorder/start", name="two").success
+
+    def samples(node, key):
+        return int({v.key: v.value for v in said[node].values}.get(key) or 0) if node in said else 0
+
+    ros.wait(lambda: samples("/identification", "samples") > 3000, "live samples")
+    ros.wait(lambda: samples("/recorder", "samples") > 3000, "recorded samples")
+    restarted = Parameter("restarts", value=1).to_parameter_msg()
+    assert ros.call(SetParameters, "/bench_simulator/set_parameters", parameters=[restarted]).results[0].successful
+    ros.wait(lambda: "are of two drives" in said["/identification"].message, "the news of the restart")
+    reply = ros.call(Identify, "/identification/identify")
+    assert (reply.success, reply.code) == (False, Identify.Response.CODE_DRIVE_CHANGED)
+    assert "Ask for the part 'before'" in reply.message
+    after = ros.call(Identify, "/identification/identify", part=Identify.Request.PART_AFTER)
+    assert after.code != Identify.Response.CODE_DRIVE_CHANGED
+    stopped = ros.call(StopRecording, "/recorder/stop")
+    assert stopped.success
+    assert "The bag holds 2 recordings" in stopped.message
+    assert "the drive was restarted or exchanged" in stopped.message
+    for process in (identification, recorder, drive):
+        assert process.interrupt(number=signal.SIGHUP)[0] == 0
+    assert "Traceback" not in ros.outputs()
+
+
+def test_a_closed_terminal_ramps_down_and_a_trip_is_cleared_by_what_is_installed(ros):
+    """The terminal of the publisher is closed while current flows; another drive is named."""
+    from drive_id_msgs.msg import PhaseCurrents
+
+    drive = OddDrive(ros)
+    drive.runs()
+    ros.wait(drive.is_driven, "current")
+    second = ros.node.create_publisher(PhaseCurrents, "/phase_currents", 10)
+    drive.status |= {"fault": "The fan has stopped"}
+    drive.trips("The fan has stopped")
+    assert "clear it by characterize --clear-fault" in drive.call("stop_experiment").message
+    environment = {**ros.environment, "PYTHONUNBUFFERED": "1"}
+    persists = ros_run(ros, CLEAR, environment)
+    assert persists.returncode == 1
+    assert "Not cleared: The drive reports a fault: The fan has stopped." in persists.stderr
+    drive.put_right()
+    ros.node.destroy_publisher(second)
+    drive.asks("stop_experiment", lambda reply: reply.success, "rest")
+    cleared = ros_run(ros, CLEAR, environment)
+    assert (cleared.returncode, cleared.stdout) == (0, "Cleared: The drive reports a fault: The fan has stopped.\n")
+    drive.runs()
+    ros.wait(drive.is_driven, "current")
+    assert drive.publisher.interrupt(number=signal.SIGHUP)[0] == 0
+    ros.wait(lambda: not drive.is_driven(), "references of zero")
+
+
+def ros_run(ros, command, environment):
+    """Run a program while the drive goes on."""
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    ros.wait(lambda: process.poll() is not None, "its end")
+    out, error = process.communicate(timeout=DEADLINE)
+    return subprocess.CompletedProcess(command, process.returncode, out, error)
+
+
+def test_a_terminal_that_is_gone_costs_no_clean_end(tmp_path):
+    """The process leads the session of a terminal, whose other end is closed: writing to it fails from then on."""
+    code = "import os; from drive_id.nodes.recorder import main; main()"
+    child, master = pty.fork()
+    if child == 0:  # pragma: no cover
+        os.environ |= {"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF", "ROS_LOG_DIR": str(tmp_path)}
+        os.chdir(tmp_path)
+        os.execv(sys.executable, [sys.executable, "-c", code])
+    text = b""
+    while b"Ready" not in text:
+        text += os.read(master, 1000)
+    os.close(master)
+    _, status = os.waitpid(child, 0)
+    assert os.waitstatus_to_exitcode(status) == 0
+
+
+def test_a_second_clock_is_refused(ros):
+    """The first simulator goes on."""
+    scaled = {"time_scale": 2.0}
+    first = ros.start("drive_id.nodes.bench_simulator", parameters=scaled)
+    ros.wait(lambda: "Ready" in first.output and ros.node.count_publishers("/clock") == 1, "the first one")
+    second = ros.start("drive_id.nodes.bench_simulator", parameters=scaled, namespace="/second")
+    second.expected_to_fail = True
+    ros.wait(lambda: second.popen.poll() is not None, "the end of the second one")
+    assert second.popen.returncode == 1
+    assert "Another node publishes /clock already" in second.output
+    assert "Traceback" not in second.output
+    assert first.popen.poll() is None

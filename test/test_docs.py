@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import re
-import shlex
 import shutil
 from pathlib import Path
 
@@ -12,16 +11,12 @@ import pytest
 import yaml
 
 import drive_id
-from drive_id.cli.app import app
-from drive_id.files.write.writer import write_recording
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 OF_TODAY = [page for page in PAGES if page.parent.name != "adr" and page.name != "CHANGELOG.md"]
 """The others may name what is gone."""
-WRITES = ("--output", "--draft")
 PYTHON = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-COMMAND = re.compile(r"^    (drive-id .*)$", re.MULTILINE)
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
 SOURCE = re.compile(r"`((?:drive_id|core|files|fitting|config|examples|benchmarks|test|tools|docs)/[\w./]+)`")
 
@@ -52,23 +47,6 @@ def test_the_python_of_a_page_runs(name, folder, fitted):
 def test_all_python_is_python(page):
     for block in PYTHON.findall(page.read_text(encoding="utf-8")):  # cells are run when the site is built
         ast.parse(block)
-
-
-@pytest.mark.parametrize("name", ["README.md", "docs/quick_start.md"])
-def test_the_commands_of_a_page_run(name, folder, fitted):
-    commands = [shlex.split(line, comments=True) for line in COMMAND.findall((ROOT / name).read_text(encoding="utf-8"))]
-    assert len(commands) > 4
-    written = {Path(word) for words in commands for at, word in enumerate(words) if words[at - 1] in WRITES}
-    for path in filter(Path.exists, written):
-        shutil.rmtree(path)
-    fitted.save(folder / "results" / "earlier")
-    drive_id.export(fitted, "syre", folder / "other.mat")
-    friday = drive_id.simulate("ipm", 2.0, speed=900.0, noise=1e-3, seed=2)
-    write_recording(folder / "friday", friday, friday.truth)
-    for words in commands:
-        if words[1] != "serve":  # which does not end
-            assert not app(words[1:], standalone_mode=False), words
-    assert all(path.exists() for path in written)
 
 
 def test_the_times_of_the_readme_are_those_of_make_bench():

@@ -42,6 +42,7 @@ def test_the_command():
     assert ran.stdout.endswith("\n0 findings\n")
 
 
+@pytest.mark.process
 def test_no_worker_hangs_or_is_left():
     import interrupts
 

@@ -3,26 +3,22 @@
 from __future__ import annotations
 
 import importlib
-import re
-import shlex
 import time
-from pathlib import Path
 
 import pytest
 import yaml
+from page_commands import ROOT, commands
 from ros_bench import require_ros, ros_bench
 
-ROOT = Path(__file__).parent.parent.parent
 PATIENT = {"lead_time": 2.0, "watch_timeout": 10.0, "clock_offset": 10.0}
 """Other tests keep this machine busy."""
 STATE = "/trajectory_publisher/state"
 
 
-def commands(page, *kinds):
-    """Return the words of the indented commands of a page, without ``ros2``, those of these kinds only."""
-    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
-    lines = re.findall(r"^ {4}ros2 (.*)$", text, re.MULTILINE)
-    return [words for line in lines if (words := shlex.split(line, comments=True))[0] in kinds]
+def shown(page, *kinds):
+    """Return the words of the commands of a page, without ``ros2``, those of these kinds only."""
+    words = [each.words[1:] for each in commands("ros2", pages=[ROOT / "docs" / page])]
+    return [each for each in words if each[0] in kinds]
 
 
 def kind_of(name):
@@ -115,28 +111,14 @@ def operator():
             file = ROOT / "config" / f"{name}.yaml"
             ros.start(f"drive_id.nodes.{name}", parameters=parameters, files=[file])
         operator = Operator(ros)
-        for words in commands("nodes.md", "lifecycle"):
+        for words in shown("nodes.md", "lifecycle"):
             operator.do(*words)
         yield operator
 
 
 @pytest.mark.parametrize("page", ["nodes.md", "safety.md"])
 def test_what_the_page_shows_works(operator, page):
-    shown = commands(page, "topic", "service", "action", "param")
-    assert {"topic", "service"} < {kind for kind, *_ in shown}
-    for words in shown:
+    lines = shown(page, "topic", "service", "action", "param")
+    assert {"topic", "service"} < {kind for kind, *_ in lines}
+    for words in lines:
         operator.do(*words)
-
-
-def test_what_is_launched_and_run_is_there():
-    executables = re.findall(r'^    "(\w+) = ', (ROOT / "setup.py").read_text(encoding="utf-8"), re.MULTILINE)
-    launched, ran = commands("nodes.md", "launch"), commands("nodes.md", "run")
-    assert launched
-    assert ran
-    for _, package, file, *arguments in launched:
-        assert package == "drive_id"
-        text = (ROOT / "launch" / file).read_text(encoding="utf-8")
-        assert [each for each in arguments if f'"{each.partition(":=")[0]}"' not in text] == []
-    for _, package, executable, *_ in ran:
-        assert package == "drive_id"
-        assert executable in executables

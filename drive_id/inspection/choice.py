@@ -68,7 +68,8 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
 
     Raises ConfigurationError when no columns look like currents, voltages and an angle: says which are missing.
     """
-    tables = [timed(_filled(part), contents) for table in contents.tables for part in by_presence(table)]
+    parts = [part for table in contents.tables for part in by_presence(_with_time(table))]
+    tables = [timed(_filled(part), contents) for part in parts]
     tables = [_onward(table) for table in tables]
     if not any(len(table.stamp) for table in tables):
         tables = [numbered(table) for table in tables]
@@ -98,6 +99,15 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
 
 
 # -- recognizing ---------------------------------------------------------------------------------------------------
+
+
+def _with_time(table: Table) -> Table:
+    """Return a table without the few rows whose time is blank, as the headers between captures of one file."""
+    times = [x for name, x in table.columns.items() if suggests(name, "time")]
+    there = np.all([np.isfinite(x) for x in times if np.isfinite(x).mean() >= _MOST_THERE] or [True], axis=0)
+    if there.all() or len(table.stamp):
+        return table
+    return replace(table, columns={name: x[there] for name, x in table.columns.items()})
 
 
 def by_presence(table: Table) -> Iterator[Table]:

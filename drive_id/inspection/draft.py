@@ -91,6 +91,7 @@ class _DraftText:
         taken = (*choice.currents.group.names, *choice.voltages.group.names, choice.angle.name)
         self._taken = {*taken, choice.angle.table.stamp_source}
         self._link = dc_link(tables, taken)
+        self._taken |= {self._link[1]} if self._link is not None else set()
         self.unexplained = choice.reading.unexplained
 
     def draft(self) -> Draft:
@@ -280,11 +281,12 @@ class _DraftText:
             return ["  # no field is the speed of this angle: it is derived from the angle"]
         by_angle = np.array([(x[-1] - x[0]) / seconds[-1], (x[half] - x[0]) / seconds[half]])
         pole_pairs = range(1, _MOST_POLE_PAIRS + 1) if abs(choice.reading.ratio[0]) == 1 else (1,)
-        for name, y in angle.table.columns.items():
+        columns = sorted(angle.table.columns.items(), key=lambda column: not suggests(column[0], "speed"))
+        for name, y in columns:
             if name in self._taken or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
                 continue
             means, named = np.array([y.mean(), y[:half].mean()]), suggests(name, "speed")
-            for (unit, factor), pairs in product(SPEED_UNITS.items(), pole_pairs):
+            for pairs, (unit, factor) in product(pole_pairs, SPEED_UNITS.items()):
                 ratios = means * factor * pairs / by_angle
                 near = np.abs(np.abs(ratios) - 1)
                 sure = named or (np.ptp(y) > 0 and pairs == 1) or (unit == "rpm" and near.max() < _SAME_SPEED / 4)

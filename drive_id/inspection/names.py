@@ -21,6 +21,7 @@ _WORDS = {
     "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds", "sec", "secs", "today", "elapsed"),
 }  # fmt: skip
 _TIME_UNIT = re.compile(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?(?: \(\d+\))?$|^(ns|us|µs|ms)_")
+_LABVIEW_TIME = "x_value"
 _YAML_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
 _UNITS = {"current": ("[a]", "(a)", "[ma]", "(ma)"), "voltage": ("[v]", "(v)")}
 
@@ -45,7 +46,7 @@ def suggests(name: str, meaning: str) -> bool:
     """Whether a name suggests ``current``, ``voltage``, ``reference``, ``angle``, ``speed``, ``dc``, ``time``."""
     lower = name.lower().strip()
     unit = any(lower.endswith(end) for end in _UNITS.get(meaning, ()))
-    own = words(name)
+    own = words(name) | ({"time"} if lower == _LABVIEW_TIME else set())
     long = any(word.startswith(stem) for stem in _WORDS[meaning] if len(stem) > 3 for word in own)
     return unit or long or bool(own & set(_WORDS[meaning]))
 

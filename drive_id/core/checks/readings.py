@@ -47,8 +47,8 @@ _LATE = (0.02, 64, 256)
 _LATE_SHARE = 8  # part of a run that it may take
 _LATE_TURN = 0.3  # rad by which the rotor turns between the delays that are tried first
 _LATE_BETTER = 0.85
-"""Largest ratio of unexplained voltage, to that at a drive's usual delays, of a shift in time that is reported: 0.89 at
-least on 28 good random drives."""
+"""Largest ratio of unexplained voltage, to that without a delay, of a shift in time that is reported: 0.88 at least on
+28 good random drives."""
 _CORRECTED = "unexplained_corrected"
 _RESTING = 0.05
 """Mean phase current of a part at rest, relative to i_max."""
@@ -274,7 +274,7 @@ def _time_shift(runs: Sequence[Excerpt], declared: RoughFit) -> Message | None:
     shifted = rough_fit(runs, delays=(near.delay + np.arange(-step, step + 1)).tolist())
     if (
         shifted is None
-        or shifted.unexplained > _LATE_BETTER * declared.unexplained
+        or shifted.unexplained > _LATE_BETTER * declared.without_delay
         or abs(shifted.delay) <= max(DELAYS)
     ):
         return None

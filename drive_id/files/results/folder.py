@@ -57,8 +57,8 @@ def check_recordings(directory: Path, inputs: Mapping[str, str], *, force: bool 
     """
     try:
         tree = json.loads(read_text_input(directory / MARKER, LARGEST_MARKER))
-        earlier = {str(name): str(digest) for name, digest in tree["inputs"].items()}
-    except (OSError, ValueError, RecursionError, TypeError, KeyError, AttributeError):
+        earlier = {str(entry["file"]): str(entry["sha256"]) for entry in tree["inputs"]}
+    except (OSError, ValueError, RecursionError, TypeError, KeyError):
         return  # no result, or one that cannot be read
     if force or not earlier or set(earlier.values()) == set(inputs.values()):
         return

@@ -1,0 +1,295 @@
+"""Logs of other tools: each kind is read right by its draft, or refused in one true sentence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import tool_logs
+
+import drive_id
+from drive_id.core import frames
+from drive_id.errors import BagError, DriveIdError, OutputError
+from drive_id.files.logs.log_kind import log_kind
+from drive_id.files.messages.signals_file import parse_signals
+from drive_id.files.read.operating_log import read_operating_log
+from drive_id.files.read.several import read_recording
+from drive_id.inspection.inspect import check
+
+N = 6000
+SIGNALS = "currents: {fields: [ia, ib, ic]}\nvoltages: {fields: [ua, ub, uc]}\nresolver: {angle: theta}\n"
+PHASES = ("ia", "ib", "ic", "ua", "ub", "uc")
+
+
+@pytest.fixture(scope="module")
+def samples(simulation):
+    return replace(simulation.samples.part(0, N), truth=None)
+
+
+@pytest.fixture(scope="module")
+def columns(samples):
+    phases = {f"{name}{phase}": x[:, k] for name, x in (("i", samples.i_abc), ("u", samples.u_abc))
+              for k, phase in enumerate("abc")}  # fmt: skip
+    return {"t": 1e-4 * np.arange(N), **phases, "theta": np.mod(samples.angle, 2 * np.pi)}
+
+
+def stretched(columns, period, start=0.0):
+    return columns | {"t": start + period * np.arange(N)}
+
+
+def drafted(path):
+    """Return what the proposed signals file reads, with its text and warnings."""
+    draft = check(path).draft
+    assert draft is not None
+    recording = read_recording(path, parse_signals(draft.text, "the draft"))
+    return recording.samples, draft, [message.code for message in recording.warnings]
+
+
+def assert_same(found, samples, period=1e-4, *, missing=0, volts=0.05):
+    """Check each sample against the true one of its time."""
+    assert found.sample_period == pytest.approx(period, rel=1e-4)
+    assert N - 5 - missing <= len(found) <= N - missing
+    at = np.rint((found.stamp - found.stamp[-1]) * 1e-9 / found.sample_period).astype(int) + N - 1
+    last = np.argmin(np.abs(samples.i_abc - found.i_abc[-1]).sum(axis=1))
+    at += last - (N - 1)
+    assert np.abs(found.i_abc - samples.i_abc[at]).max() < 1e-3
+    assert np.abs(frames.space_vector(found.u_abc) - frames.space_vector(samples.u_abc)[at]).max() < volts
+    assert np.abs(np.angle(np.exp(1j * (found.angle - samples.angle[at])))).max() < 0.05
+
+
+TOOLS = {  # writer, sample period, s, and missing samples
+    "LabVIEW, decimal commas": (lambda p, c: tool_logs.labview(p / "a.lvm", c), 1e-4, 0),
+    "LabVIEW without times": (lambda p, c: tool_logs.labview(p / "a.txt", stretched(c, 5e-5), times=False), 5e-5, 0),
+    "LabVIEW, points, another name": (lambda p, c: tool_logs.labview(p / "log", c, comma=False), 1e-4, 0),
+    "PicoScope": (lambda p, c: tool_logs.picoscope(p / "a.csv", c, [*"sAAAVVVV"]), 1e-4, 0),
+    "PicoScope in ms at 50 kHz": (
+        lambda p, c: tool_logs.picoscope(p / "a.csv", stretched(c, 0.02), ["ms", *"AAAVVVV"]), 2e-5, 0,
+    ),
+    "PicoScope in us, beyond its range": (
+        lambda p, c: tool_logs.picoscope(p / "a.csv", stretched(c, 100.0), ["us", *"AAAVVVV"], beyond=500), 1e-4, 11,
+    ),
+    "TwinCAT, one time": (
+        lambda p, c: tool_logs.twincat(p / "a.csv", c, [[*PHASES, "theta"]], comma=False), 1e-4, 0,
+    ),
+    "TwinCAT, a time per channel, decimal commas": (
+        lambda p, c: tool_logs.twincat(p / "a.csv", c, [[name] for name in (*PHASES, "theta")], comma=True), 1e-4, 0,
+    ),
+    "PlotJuggler": (
+        lambda p, c: tool_logs.plotjuggler(
+            p / "a.csv", c, {"/motor/current": [*PHASES[:3]], "/inverter/voltage": [*PHASES[3:]], "/encoder": ["theta"]}
+        ), 1e-4, 0,
+    ),
+    "csv.gz": (lambda p, c: tool_logs.packed(p / "a.csv.gz", tool_logs.csv, c), 1e-4, 0),
+    "zip of a CSV": (lambda p, c: tool_logs.packed(p / "a.csv.zip", tool_logs.csv, c), 1e-4, 0),
+    "lvm.gz": (lambda p, c: tool_logs.packed(p / "a.lvm.gz", tool_logs.labview, c), 1e-4, 0),
+    "npz": (lambda p, c: tool_logs.npz(p / "a.npz", c), 1e-4, 0),
+    "npz with a structured array, any name": (lambda p, c: tool_logs.structured_npz(p / "a.dat", c), 1e-4, 0),
+    "JSON lines": (lambda p, c: tool_logs.json_lines(p / "a.jsonl", c), 1e-4, 0),
+    "JSON lines, packed": (lambda p, c: tool_logs.packed(p / "a.jsonl.gz", tool_logs.json_lines, c), 1e-4, 0),
+    "Feather": (lambda p, c: tool_logs.feather(p / "a.feather", stretched(c, 2e-4)), 2e-4, 0),
+    "MDF with invalid samples": (
+        lambda p, c: tool_logs.mdf(p / "a.mf4", c, {"ia": np.arange(100, 4100, 100)}), 1e-4, 40,
+    ),
+    "MDF, two channels invalid": (
+        lambda p, c: tool_logs.mdf(p / "a.dat", c, {"ub": np.arange(50, 70), "theta": np.arange(300, 303)}), 1e-4, 23,
+    ),
+    "six digits at 8 kHz": (
+        lambda p, c: tool_logs.csv(p / "a.csv", stretched(c, 1.25e-4, 100.0), digits={"t": "%.6g"}), 1.25e-4, 0,
+    ),
+    "whole ms at 10 kHz": (
+        lambda p, c: tool_logs.csv(p / "a.csv", {"time_ms": np.floor(1e3 * c["t"]), **c} | {"t": c["t"] * np.nan}),
+        1e-4, 0,
+    ),
+    "four digits from 10 s at 8 kHz": (
+        lambda p, c: tool_logs.csv(p / "a.csv", stretched(c, 1.25e-4, 10.0), digits={"t": "%.4f"}), 1.25e-4, 0,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("tool", TOOLS)
+def test_logs_of_other_tools(tool, tmp_path, samples, columns):
+    write, period, missing = TOOLS[tool]
+    found, _, warnings = drafted(write(tmp_path, columns))
+    assert_same(found, samples, period, missing=missing)
+    assert ("values_missing" in warnings) == bool(missing)
+    assert ("gaps" in warnings) == bool(missing)
+
+
+SECONDS = {"ROS 2": ("sec", "nanosec"), "ROS 1": ("header.stamp.secs", "header.stamp.nsecs"), "C": ("ts_s", "ts_ns")}
+
+
+@pytest.mark.parametrize("names", SECONDS)
+def test_seconds_and_nanoseconds_are_one_time(names, tmp_path, samples, columns):
+    ns = 1_700_000_000_900_000_000 + 100_000 * np.arange(N)
+    times = dict(zip(SECONDS[names], divmod(ns, 10**9), strict=True))
+    rest = {name: x for name, x in columns.items() if name != "t"}
+    path = tool_logs.csv(tmp_path / "a.csv", {**times, **rest}, digits=dict.fromkeys(times, "%.0f"))
+    found, _, warnings = drafted(path)
+    assert_same(found, samples)
+    assert not warnings
+    assert found.stamp[0] == ns[0]
+
+
+@pytest.mark.parametrize("writer", ["CSV", "CSV of three", "LabVIEW"])
+def test_captures_whose_time_starts_again_are_runs(writer, tmp_path, samples, columns):
+    parts = 3 if writer == "CSV of three" else 2
+    again = columns | {"t": np.mod(columns["t"], N / parts * 1e-4 - 1e-9)}
+    write = tool_logs.labview if writer == "LabVIEW" else tool_logs.csv
+    path = write(tmp_path / "a", columns, parts=2) if writer == "LabVIEW" else write(tmp_path / "a", again)
+    found, _, warnings = drafted(path)
+    assert len(found) == N
+    np.testing.assert_allclose(found.i_abc, samples.i_abc, atol=1e-3)
+    assert found.run_starts.tolist() == [N // parts * k for k in range(parts)]
+    assert "time_restarts" in warnings
+
+
+TDMS = {
+    "start of a group": ({name: {"wf_start_time": np.datetime64("2026-01-02T12:00:00.001000", "us")}
+                          for name in ("ua", "ub", "uc")}, True),
+    "offset of channels in one group": ({name: {"wf_start_offset": 0.005} for name in ("ua", "ub", "uc")}, False),
+    "offset of the angle": ({"theta": {"wf_start_offset": 0.0021}}, False),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("late", TDMS)
+@pytest.mark.parametrize("given", ["draft", "file"])
+def test_each_waveform_begins_at_its_own_time(late, given, tmp_path, samples, columns):
+    properties, groups = TDMS[late]
+    entry = next(iter(properties.values()))
+    shift = 10 if "wf_start_time" in entry else round(entry["wf_start_offset"] / 1e-4)
+    moved = {name: x[shift:] if name in properties else x[: N - shift] for name, x in columns.items()}
+    path = tool_logs.tdms(tmp_path / "a.tdms", moved, properties, groups=groups)
+    recording = read_recording(path, parse_signals(SIGNALS, "x")) if given == "file" else None
+    found = drafted(path)[0] if recording is None else recording.samples
+    assert_same(found, samples, missing=2 * shift)
+    if recording is None:
+        assert "time_shift" not in [finding.code for finding in check(path).findings]
+
+
+def test_phases_that_begin_at_different_times_are_refused(tmp_path, columns):
+    path = tool_logs.tdms(tmp_path / "a.tdms", columns, {"ic": {"wf_start_offset": 0.001}}, groups=True)
+    with pytest.raises(DriveIdError, match=r"columns of section 'currents' \(ia, ib, ic\) have different times"):
+        read_recording(path, parse_signals(SIGNALS, "x"))
+
+
+DUTY = {
+    "percent": (100.0, ("duty_a", "duty_b", "duty_c"), "U_dc/100"),
+    "percent without names": (100.0, ("ch4", "ch5", "ch6"), "U_dc/100"),
+    "counts of a timer": (8400.0, ("CCR1", "CCR2", "CCR3"), "U_dc/8400"),
+}
+
+
+@pytest.mark.parametrize("kind", DUTY)
+@pytest.mark.parametrize("link", [False, True])
+def test_duty_cycles_are_no_volts_and_no_dc_link(kind, link, tmp_path, samples, columns):
+    full, names, said = DUTY[kind]
+    u_dc = 400.0 + (np.sin(np.arange(N)) if link else 0.0)
+    duties = {name: full * (columns[f"u{phase}"] / u_dc + 0.5) for name, phase in zip(names, "abc", strict=True)}
+    duties = {name: np.rint(x) for name, x in duties.items()} if full > 100 else duties
+    rest = {name: x for name, x in columns.items() if name[0] != "u"}
+    rest |= {"u_dc": u_dc} if link else {}
+    path = tool_logs.csv(tmp_path / "a.csv", {**rest, **duties, "n_rpm": np.full(N, 500.0)})
+    found, draft, warnings = drafted(path)
+    assert_same(found, samples, volts=0.05 if full == 100 else 0.3)
+    assert ("guessed_setting" in warnings) == (not link)
+    assert (f"# EDIT: {said}" in draft.text) == (not link)
+    assert "speed_scale: 4   # 4 pole pairs" in draft.text
+
+
+def test_a_guessed_period_is_told_by_the_fit(tmp_path, columns):
+    rest = {name: x for name, x in columns.items() if name != "t"}
+    found, draft, warnings = drafted(tool_logs.csv(tmp_path / "a.csv", rest))
+    assert "sample_period: 0.0001         # EDIT" in draft.text
+    assert len(found) == N
+    assert "guessed_setting" in warnings
+
+
+@pytest.mark.parametrize("shift", [-50, -10, 3, 10, 50])
+@pytest.mark.parametrize("period", [5e-5, 1e-4, 2e-4])
+def test_a_shift_in_time_is_found_at_any_period(shift, period, samples):
+    from drive_id.core.checks.prescan import Prescan
+
+    prescan = Prescan()
+    late = replace(
+        samples, u_abc=np.roll(samples.u_abc, -shift, axis=0), sample_period=period,
+        speed=samples.speed * 1e-4 / period, stamp=np.rint(np.arange(N) * period * 1e9).astype(np.int64),
+    ).part(60, N - 60)  # fmt: skip
+    prescan.add(late)
+    (finding,) = [finding for finding in prescan.findings() if finding.code == "time_shift"]
+    assert finding.values["delay"] == pytest.approx(shift, abs=1.5)
+
+
+FOREIGN = {
+    "Excel": ("a.xlsx", b"PK\3\4", None),
+    "a pickle": ("a.pkl", b"\x80\x05\x95", "save it with to_parquet"),
+    "an array": ("a.npy", b"\x93NUMPY\1\0", "numpy.savez"),
+    "bzip2": ("a.csv.bz2", b"BZh91AY", "unpack it"),
+    "an oscilloscope": ("a.bin", b"AG10\0\0", "export it from its tool as CSV"),
+    "unknown": ("a.wfm", b"\1\2\3\0\0", "export the log as CSV or Parquet"),
+}
+
+
+@pytest.mark.parametrize("kind", FOREIGN)
+def test_what_is_not_read_is_named_with_the_way_out(kind, tmp_path):
+    name, head, remedy = FOREIGN[kind]
+    path = tmp_path / name
+    path.write_bytes(head + bytes(100))
+    if kind == "Excel":
+        import zipfile
+
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr("[Content_Types].xml", "<x/>")
+            archive.writestr("xl/sheet1.xml", "<x/>")
+        remedy = "save its sheet as CSV"
+    with pytest.raises(BagError, match=remedy):
+        check(path)
+
+
+def test_the_content_tells_the_kind_not_the_name(tmp_path, columns):
+    path = tool_logs.csv(tmp_path / "log.weird", columns)
+    assert log_kind(path) == "csv"
+    assert len(drafted(path)[0]) == N
+
+
+def vesc(path, *, coasting=0, period=0.02):
+    """Write operating points of a machine with R = 20 mOhm, L_d = 20 uH, L_q = 30 uH and 12 mWb."""
+    rng = np.random.default_rng(3)
+    angle, radius = rng.uniform(0, 2 * np.pi, 80), 60 * np.sqrt(rng.uniform(0, 1, 80))
+    i_dq = np.repeat(np.column_stack([radius * np.cos(angle), radius * np.sin(angle)]), 25, axis=0)
+    erpm = np.repeat(rng.choice([3000.0, 6000.0, -3000.0], 80), 25)
+    w = erpm * 2 * np.pi / 60
+    u_dq = 0.02 * i_dq + np.column_stack([-w * 30e-6 * i_dq[:, 1], w * (12e-3 + 20e-6 * i_dq[:, 0])])
+    i_dq[:coasting], u_dq[:coasting] = 0.0, 0.0
+    return tool_logs.vesc_tool(path, i_dq, u_dq, erpm, period=period), i_dq[coasting:], erpm[coasting:]
+
+
+@pytest.mark.parametrize(("coasting", "period"), [(0, 0.02), (0, 0.01), (500, 0.02)])
+def test_vesc_tool_logs_get_a_draft_for_static(coasting, period, tmp_path):
+    path, i_dq, erpm = vesc(tmp_path / "2026-01-02.csv", coasting=coasting, period=period)
+    draft = check(path).draft
+    assert draft is not None
+    assert draft.static
+    assert "pole_pairs" not in draft.text  # the speed is electrical
+    log = read_operating_log(path, parse_signals(draft.text, "the draft"))
+    np.testing.assert_allclose(log.data.i_dq, i_dq, atol=1e-6)
+    np.testing.assert_allclose(log.data.speed, erpm * np.pi / 30)
+    assert log.data.period == pytest.approx(period)
+    assert ("inverter_off" in [warning.code for warning in log.warnings]) == bool(coasting)
+
+
+def test_a_result_of_other_recordings_is_not_replaced(tmp_path, columns):
+    first = tool_logs.csv(tmp_path / "one.csv", columns)
+    other = tool_logs.csv(tmp_path / "two.csv", columns | {"ia": columns["ia"] + 1e-3})
+    signals = parse_signals("defaults: {stamp: t, stamp_unit: s}\n" + SIGNALS, "x")
+    how = {"signals": signals, "method": "psm", "output": tmp_path / "out"}
+    drive_id.fit(first, **how)
+    before = (tmp_path / "out" / "identification.json").read_bytes()
+    with pytest.raises(OutputError, match=r"holds the result of one.csv, and not of two.csv: give another .* --force"):
+        drive_id.fit(other, **how)
+    assert (tmp_path / "out" / "identification.json").read_bytes() == before
+    drive_id.fit(first, **how)
+    drive_id.fit(other, **how, force=True)
+    first.write_bytes(other.read_bytes() + b"\n")
+    with pytest.raises(OutputError, match=r"holds the result of two.csv, and not of one.csv"):
+        drive_id.fit(first, **how)

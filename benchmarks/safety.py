@@ -5,10 +5,11 @@
     python benchmarks/safety.py --rounds 0 --scripts 200 --seed 1 --replay 41     ten times script 41 of these, alone
 
 Both nodes run as processes with the shipped parameter files, 100 A, without end. What is checked is what the drive
-measures: never above the limit, and zero within the stated time after each stop, trip, death or intruder. Times are
-those of the drive's samples by their count, however late its process gets to publish them, or this one to read: on a
-busy computer the simulated drive is held up, and then makes and publishes within moments what it has missed. No clock
-that is set wrong changes that count. The exit code is 1 if there is a finding.
+measures: never above the limit, and zero within the stated time after each stop, trip, death or intruder. In scripts,
+the node identification listens as well: it must not make one map of two drives. Times are those of the drive's samples
+by their count, however late its process gets to publish them, or this one to read: on a busy computer the simulated
+drive is held up, and then makes and publishes within moments what it has missed. No clock that is set wrong changes
+that count. The exit code is 1 if there is a finding.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState
-from drive_id_msgs.srv import Command, StartExperiment
+from drive_id_msgs.srv import Command, Identify, StartExperiment
 from node_processes import Graph, NodeProcess
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
@@ -47,7 +48,7 @@ _ATTEMPTS = 4
 _REPLAYS = 10
 _START, _CATCH_UP, _BEHIND = 90.0, 5.0, 0.1
 """Time for a start, and that for a drive to catch up, s, which is started again if it is still so far behind, s."""
-PUBLISHER, DRIVE = "trajectory_publisher", "bench_simulator"
+PUBLISHER, DRIVE, LISTENER, RIVAL = "trajectory_publisher", "bench_simulator", "identification", "rival"
 SERVICES = {"start_experiment": StartExperiment, "stop_experiment": Command, "clear_fault": Command}
 
 
@@ -95,7 +96,11 @@ HAZARDS = {
     "publisher killed": Hazard(0.6, act="kill"),
     "publisher stopped (SIGSTOP)": Hazard(0.6, act="suspend", reason=" "),
     "drive killed": Hazard(0.9, act="kill_drive", reason="Nothing has arrived"),
+    "drive exchanged": Hazard(0.9, act="exchange", reason=" "),
+    "second drive": Hazard(0.5, act="double", reason=" "),
 }
+ANOTHER = {"drive restarts", "drive exchanged", "second drive"}
+"""Hazards after which the samples are of two drives, or may be."""
 BY_CHANCE = {"loss": 0.3, "disorder": 0.3}
 """Faults that strike some time after they begin: in scripts, nothing tells by when the current must be zero."""
 
@@ -137,10 +142,16 @@ class Cell:
         self.start_drive()
         self.start_publisher()
 
-    def start_drive(self) -> None:
-        """Start the drive."""
-        file = CONFIG / f"{DRIVE}.yaml"
-        self.nodes[DRIVE] = self._ready([f"drive_id.nodes.{DRIVE}", "--ros-args", "--params-file", str(file)])
+    def start_listener(self) -> None:
+        """Start the node identification, whose maps are to be of one drive."""
+        given = ["-p", "i_max:=100.0", "-p", "method:=joint", "-p", "refit_share:=0.0"]
+        given += ["-p", f"output_directory:={self.graph.folder / 'maps'}"]
+        self.nodes[LISTENER] = self._ready([f"drive_id.nodes.{LISTENER}", "--ros-args", *given])
+
+    def start_drive(self, machine: str = "ipm", name: str = DRIVE) -> None:
+        """Start a drive."""
+        given = ["--params-file", str(CONFIG / f"{DRIVE}.yaml"), "-p", f"machine:={machine}", "-r", f"__node:={name}"]
+        self.nodes[name] = self._ready([f"drive_id.nodes.{DRIVE}", "--ros-args", *given, "-p", "i_max:=100.0"])
 
     def start_publisher(self) -> None:
         """Start the publisher, to run without end."""
@@ -247,7 +258,7 @@ class Cell:
             getattr(self, hazard.act)()
         else:
             self.set(DRIVE, **hazard.faults)
-        return begin if hazard.act else time.monotonic()
+        return begin if hazard.act and hazard.act != "double" else time.monotonic()
 
     def undo(self, hazard: Hazard) -> None:
         """Put it right again."""
@@ -319,6 +330,29 @@ class Cell:
         self.nodes.pop(name).end(signal.SIGKILL)
         self.graph.forget(name)
 
+    def exchange(self) -> None:
+        """Kill the drive, and start one of another machine in its place."""
+        self.kill_drive()
+        self.start_drive("spm")
+
+    def un_exchange(self) -> None:
+        """Put the first one back."""
+        self.kill_drive()
+        self.start_drive()
+
+    def double(self) -> None:
+        """Start a second drive on the same topics."""
+        self.start_drive("spm", RIVAL)
+
+    def un_double(self) -> None:
+        """End it."""
+        self._end(RIVAL)
+
+    def mapped(self) -> str:
+        """Return the code of a request for one map of all that was heard."""
+        reply = self.graph.call(Identify, f"/{LISTENER}/identify")
+        return "no answer" if reply is None else str(reply.code)
+
     def suspend(self) -> None:
         """Hold up the publisher's process."""
         os.kill(self.nodes[PUBLISHER].popen.pid, signal.SIGSTOP)
@@ -362,7 +396,7 @@ def _makes_sense(cell: Cell, hazard: Hazard, done: dict[str, float]) -> bool:
     over = [when for name, when in done.items() if HAZARDS[name].act in {"stop", "kill", "suspend"}]
     if hazard.act in {"stop", "press", "suspend", "kill"} and PUBLISHER not in cell.nodes:
         return False
-    if (hazard.faults or hazard.act == "overspeed") and DRIVE not in cell.nodes:
+    if (hazard.faults or hazard.act in {"overspeed", "exchange", "double"}) and DRIVE not in cell.nodes:
         return False
     if hazard.act == "intrude" and over:  # without a trip, or with nobody left who keeps others away
         return "drive restarts" not in done and time.monotonic() - min(over) < OWNED  # else the drive is free
@@ -378,6 +412,8 @@ def script(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> list[s
     cell.lag = 0.0
     before = len(cell.findings)
     trouble = cell.begin()
+    if LISTENER in cell.nodes:
+        cell.graph.call(Command, f"/{LISTENER}/reset")
     cell.graph.spin(rng.uniform(0.0, 0.8))
     since, alive = time.monotonic(), set(cell.nodes)
     deadline = 0.0
@@ -391,6 +427,8 @@ def script(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> list[s
             deadline = max(deadline, begin - since + hazard.stated)
         cell.graph.spin(rng.choice((0.0, 0.02, 0.1, 0.3)))
     cell.rested(since)
+    if LISTENER in cell.nodes and ANOTHER & set(done) and (code := cell.mapped()) == "ok":
+        cell.findings.append(f"one map of two drives ({code})")
     for name in reversed(done):  # a node that was killed first
         cell.undo(HAZARDS[name])
     cell.graph.spin(QUIET)
@@ -444,6 +482,8 @@ def main() -> int:
             if options.only in name:
                 times = [react(cell, name, options.allowance) for _ in range(options.rounds)]
                 print(f"| {name} | {hazard.stated:g} | {np.median(times):.2f} | {max(times):.2f} |", flush=True)
+        if options.scripts or options.replay is not None:
+            cell.start_listener()
         numbers = range(options.scripts) if options.replay is None else [options.replay] * _REPLAYS
         for ran, number in enumerate(numbers, 1):
             found = len(cell.findings)

@@ -122,8 +122,9 @@ class Recorder(ManagedNode):
         for found in self._topics.match():
             if self._session is not None:
                 self._session.add_topic(found)
-        for topic, publishers in self._topics.publishers().items() if self._session is not None else ():
-            self._session.publishers(topic, publishers, self._now())
+        for topic, publishers in self._topics.publishers().items():
+            if self._session is not None:
+                self._session.publishers(topic, publishers, self._now())
         if self._session is not None and self._session.error and not self._told_error:
             self._told_error = True
             self._note.end()

@@ -236,6 +236,16 @@ class Bench:
         self._wait(lambda: not waiting(), lambda: f"still {waiting()}", waiting, timeout)
         self._check()
 
+    def wait_for_publisher(self) -> None:
+        """Wait until the trajectory publisher reports: only then its replies reach this client.
+
+        Raises
+        ------
+        ExperimentError
+            When it does not.
+        """
+        self._wait(lambda: PUBLISHER in self._statuses, lambda: f"nothing has been heard of {PUBLISHER}", lambda: "")
+
     def run_experiment(self, name: str = "") -> Recording:
         """Record one trajectory: start the recorder, run the trajectory to its end, stop the recorder.
 

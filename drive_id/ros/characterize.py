@@ -256,6 +256,7 @@ def _run(options: argparse.Namespace) -> int:
         with telling(_CONSOLE) as tell:
             bench = Bench(drive=options.drive, timeout=options.timeout, tell=tell, arguments=sys.argv)
             if options.clear_fault:
+                bench.wait_for_publisher()
                 say(bench.clear_fault())
                 return 0
             return characterize(bench, options)

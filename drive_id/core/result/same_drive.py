@@ -96,7 +96,7 @@ def _map_distance(one: FluxMap, other: FluxMap) -> tuple[float, float]:
     if not both.any():
         return 0.0, math.inf
     square = (one.psi_d - other.psi_d) ** 2 + (one.psi_q - other.psi_q) ** 2
-    told = _SIGNIFICANT**2 * sum(each.sigma_d**2 + each.sigma_q**2 for each in (one, other))
+    told = _SIGNIFICANT**2 * (one.sigma_d**2 + one.sigma_q**2 + other.sigma_d**2 + other.sigma_q**2)
     largest = max(_largest(one), _largest(other))
-    distance, error = (np.sqrt(np.median(x[both])) for x in (np.maximum(square - told, 0.0), told))
-    return float(distance / largest), float(error / largest)
+    distance, error = float(np.median(np.maximum(square - told, 0.0)[both])), float(np.median(told[both]))
+    return math.sqrt(distance) / largest, math.sqrt(error) / largest

@@ -147,7 +147,8 @@ class SeveralBags:
         self._facts, self._several = [], SeveralRecordings()
         self.samples, self._start = 0, time.monotonic()
         for number, path in enumerate(self._bags):
-            for part in self._parts.get(number) or [None]:
+            parts: Sequence[DrivePart | None] = self._parts.get(number, [None])
+            for part in parts:
                 self._number, self._part = number, part
                 yield from self._of_part(what, path, part)
 

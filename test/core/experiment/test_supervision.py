@@ -14,7 +14,7 @@ from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.experiment.supervision import SupervisedExperiment
 from drive_id.errors import ConfigurationError
-from drive_id.health import Level
+from drive_id.health import Health, Level
 
 SERVICES = Path(__file__).parents[3] / "msg_defs" / "srv"
 MS = 1_000_000
@@ -345,6 +345,34 @@ def test_a_stop_that_is_not_obeyed_is_told(running):
 def test_a_restart_of_the_drive_trips(running):
     running.restart()
     trips(running, "The count of phase_currents fell from 330 to 0: the drive was restarted.", 0.02)
+
+
+def test_two_drives_are_named_where_their_counts_mix(bench):
+    """A second one that is silent does no harm; nodes that publish say which two they are."""
+    bench.watched.count_drives(["/drive", "/rival"])
+    bench.ticks(3)
+    assert bench.start()[0]
+    bench.ticks(30)
+    assert bench.state() == "running"
+    bench.count += 50_000  # the other one has been running for longer
+    bench.ticks(1)
+    bench.restart()
+    trips(bench, "Two drives publish phase_currents, /drive and /rival, and their counts mix: stop one.", 0.02)
+
+
+def test_the_progress_of_a_first_start_is_that_of_its_course():
+    bench = Bench(dataclasses.replace(SETTINGS, trajectory="first_start"))
+    bench.ticks(3)
+    assert bench.start()[0]
+    bench.ticks(60)
+    assert re.fullmatch(r"running: 0\.\d of \d+\.\d s\.", bench.health().message), bench.health().message
+    assert bench.health().values["coverage"] == ""
+
+
+def test_a_further_warning_stands_beside_what_a_node_says():
+    fine, ill = Health(Level.OK, "Waiting."), Health(Level.ERROR, "Tripped.", {"state": "tripped"})
+    assert fine.with_warning("Two.") == Health(Level.WARN, "Waiting. Two.")
+    assert ill.with_warning("Two.") == Health(Level.ERROR, "Tripped.", {"state": "tripped", "also 1": "Two."})
 
 
 def test_a_restart_that_only_the_status_tells_trips(running):

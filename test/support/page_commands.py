@@ -61,7 +61,7 @@ def make_commands() -> set[str]:
     """Return what ``make`` is called with on the pages, in their comments, in ``make help``, and each target alone."""
     lines = [(each.text.removeprefix("make "), each.comment) for each in commands("make")]
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    lines += re.findall(r"^([a-z]+):.*?## (.*)$", makefile, re.MULTILINE)
+    lines += re.findall(r"^([a-z-]+):.*?## (.*)$", makefile, re.MULTILINE)
     for page in PAGES:  # in a sentence
         lines += [(text, "") for text in re.findall(r"`make ([^`.]+)`", page.read_text(encoding="utf-8"))]
     found = set()

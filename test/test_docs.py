@@ -30,6 +30,7 @@ def folder(bag, tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow  # pages simulate and fit
 @pytest.mark.usefixtures("coarse_plans")
 @pytest.mark.parametrize("name", ["README.md", "docs/python.md", "docs/quick_start.md", "docs/report.md"])
 def test_the_python_of_a_page_runs(name, folder, fitted):

@@ -96,6 +96,7 @@ def read_bag_samples(path):
         return read_bag(path)
 
 
+@pytest.mark.accuracy
 def test_other_signs_of_another_drive(drives, tmp_path):
     parts, counts = [drives["first"], drives["double"]], (0, 30_000 + 15_000)
     by_frame = write(tmp_path / "frame", parts, frames=("drive", "other"), counts=counts)

@@ -290,6 +290,7 @@ def test_a_variation_in_step_with_the_segments_is_seen_whole(samples, monkeypatc
     assert np.hypot(*ripple) == pytest.approx(0.01, rel=0.05)
 
 
+@pytest.mark.accuracy
 def test_what_happens_in_windows_left_out_of_the_selection_is_told(samples, monkeypatch):
     monkeypatch.setattr(window_sums, "MOST_KEPT", 3000)
     segment, unused = np.arange(len(samples)) // 2500, np.flatnonzero(~kept_of(np.arange(16), 2))

@@ -1,4 +1,4 @@
-"""A drive inside the test's own node, with whatever is wrong with it as attributes, and a publisher as a process."""
+"""A drive inside the test's own node, with whatever is wrong with it as attributes, and a publisher."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class OddDrive:
         ros.node.create_subscription(Empty, f"/{PUBLISHER}/heartbeat", self._on_heartbeat, 10)
         ros.node.create_timer(0.02, self._on_timer)
         files = (CONFIG / f"{PUBLISHER}.yaml",)
-        self.publisher = ros.start(f"drive_id.nodes.{PUBLISHER}", parameters=GIVEN | parameters, files=files)
+        self.publisher = ros.host(f"drive_id.nodes.{PUBLISHER}", parameters=GIVEN | parameters, files=files)
 
     def is_driven(self):
         return bool(self._references.last.any())

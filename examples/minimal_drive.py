@@ -72,7 +72,7 @@ class MinimalDrive(Node):
         self.queue: deque[tuple[int, complex, int, int]] = deque()  # due, value, count, end of its validity
         self.session, self.owner, self.expected, self.applied, self.quiet = 0, 0, 0, 0, 0.0
         self.reference, self.stator_frame, self.fault = 0j, False, ""
-        self.next = self.get_clock().now().nanoseconds  # time of the next sample
+        self.next = 0  # time of the next sample; with use_sim_time, it is not known yet
         self.encoder = {"encoder_offset": 0.0, "encoder_direction": 1, "encoder_pole_pairs": 1}
         self.add_on_set_parameters_callback(self.on_encoder)
         self.declare_parameters("", list(self.encoder.items()))
@@ -140,6 +140,7 @@ class MinimalDrive(Node):
 
     def on_timer(self) -> None:
         """Run the samples that are due, and publish them."""
+        self.next = self.next or self.get_clock().now().nanoseconds
         while self.next + round(BLOCK * PERIOD * NS) <= self.get_clock().now().nanoseconds:
             begin, rows = self.next, []
             for _ in range(BLOCK):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import importlib
-import time
 
 import pytest
 import yaml
 from page_commands import ROOT, commands
 from ros_bench import require_ros, ros_bench
+from simulated_time import SimulatedTime
 
-PATIENT = {"lead_time": 2.0, "watch_timeout": 10.0, "clock_offset": 10.0}
+TIMES = {"use_sim_time": True, "lead_time": 1.0, "watch_timeout": 10.0}
 """Other tests keep this machine busy."""
 STATE = "/trajectory_publisher/state"
 
@@ -56,8 +56,6 @@ class Operator:
         publisher.publish(message)
         pressed = "is pressed" if message.data else "was pressed"
         self.ros.wait(lambda: pressed in self.state.reason or self.state.state == "tripped", "the emergency stop")
-        until = time.monotonic() + 0.3
-        self.ros.wait(lambda: time.monotonic() > until, "a while, after which ros2 ends")
         self.ros.node.destroy_publisher(publisher)
 
     def service_call(self, name, kind, fields="{}"):
@@ -103,13 +101,14 @@ def operator():
     with ros_bench() as ros:
         folders = {"data_directory": str(ros.folder), "output_directory": str(ros.folder / "out")}
         for name, parameters in (
-            ("bench_simulator", {}),
-            ("trajectory_publisher", {**PATIENT, "activate": False}),
+            ("bench_simulator", {"use_sim_time": True}),
+            ("trajectory_publisher", {**TIMES, "activate": False}),
             ("recorder", {"data_directory": str(ros.folder), "activate": False}),
             ("identification", {**folders, "activate": False}),
         ):
             file = ROOT / "config" / f"{name}.yaml"
-            ros.start(f"drive_id.nodes.{name}", parameters=parameters, files=[file])
+            ros.host(f"drive_id.nodes.{name}", parameters=parameters, files=[file])
+        SimulatedTime(ros).follow_topics(lambda: ros.hosted[0], lambda: ros.hosted[1])
         operator = Operator(ros)
         for words in shown("nodes.md", "lifecycle"):
             operator.do(*words)

@@ -67,7 +67,7 @@ def test_a_drive_that_restarts_is_told_of_by_all_who_listen(ros, tmp_path):
 
 def test_a_closed_terminal_ramps_down_and_a_trip_is_cleared_by_what_is_installed(ros):
     """The terminal of the publisher is closed while current flows."""
-    drive = OddDrive(ros)
+    drive = OddDrive(ros, process=True)
     drive.runs()
     ros.wait(drive.is_driven, "current")
     drive.status |= {"fault": "The fan has stopped"}

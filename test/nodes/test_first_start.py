@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
 from ros_bench import ros_bench
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
-STARTS = 4
-_FREE = 1.5
-"""After this time without references, another publisher may have the drive, s."""
 
 
 @pytest.fixture(scope="module")
@@ -31,27 +27,25 @@ def statuses(ros):
         found.update({status.name: {value.key: value.value for value in status.values} for status in message.status})
 
     ros.node.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
-    ros.start("drive_id.nodes.bench_simulator", files=[CONFIG / "bench_simulator.yaml"])
+    ros.host("drive_id.nodes.bench_simulator", files=[CONFIG / "bench_simulator.yaml"])
     return found
 
 
-@pytest.mark.parametrize("attempt", range(STARTS))
-def test_a_fresh_publisher_runs_at_its_first_start(ros, statuses, attempt):
+@pytest.mark.process
+def test_a_fresh_publisher_runs_at_its_first_start(ros, statuses):
     """One that is held up, by whatever it loads or compiles in a callback, trips for being too late.
 
     The simulated drive lags behind the time where other tests keep this machine busy: the times allow for that.
     """
     from std_srvs.srv import Trigger
 
-    name = f"publisher_{attempt}"
+    name = "trajectory_publisher"
     publisher = ros.start(
         "drive_id.nodes.trajectory_publisher",
         files=[CONFIG / "trajectory_publisher.yaml"],
         parameters={"lead_time": 3.0, "watch_timeout": 10.0, "clock_offset": 10.0},
-        arguments=["-r", f"__node:={name}"],
     )
     ros.wait(lambda: "Ready" in publisher.output, "the publisher says that it is ready")
-    time.sleep(_FREE)
 
     def started():
         reply = ros.call(Trigger, f"/{name}/start")

@@ -1,9 +1,8 @@
-"""The node ``identification`` as a process: live samples, recordings, bad requests, and a fit that is in the way."""
+"""The node ``identification``: live samples, recordings, bad requests, and a fit that is in the way."""
 
 from __future__ import annotations
 
 import shutil
-import signal
 import struct
 import time
 from dataclasses import asdict, replace
@@ -13,11 +12,12 @@ import numpy as np
 import pytest
 import yaml
 from drive_bags import TRAJECTORY
-from ros_bench import DEADLINE, require_ros, ros_bench
+from ros_bench import require_ros, ros_bench
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
+from drive_id.errors import DriveIdError
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import fit_bags
@@ -33,7 +33,7 @@ I_MAX = 300.0
 
 @pytest.fixture(scope="module")
 def ros():
-    """A bench with an identification node that has the recordings ``bag`` and its picture drawing, to be reset."""
+    """A bench for all tests."""
     with ros_bench() as bench:
         yield bench
 
@@ -43,11 +43,9 @@ def node(ros, bag):
     data = ros.folder / "data"
     data.mkdir()
     shutil.copytree(bag, data / "bag")
-    parameters = {
-        "data_directory": str(data), "output_directory": str(ros.folder / "results"), "i_max": I_MAX, "picture": True,
-        "method": "joint",
-    }  # fmt: skip
-    return ros.start(MODULE, parameters=parameters)
+    folders = {"data_directory": str(data), "output_directory": str(ros.folder / "results")}
+    parameters = folders | {"i_max": I_MAX, "method": "joint"}
+    return ros.host(MODULE, parameters=parameters)
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -90,8 +88,7 @@ class Player:
 
 
 @pytest.fixture
-def player(ros, node):
-    assert node.popen.poll() is None, node.output
+def player(ros, node):  # noqa: ARG001  # which it plays to
     from drive_id_msgs.srv import Command
 
     assert ros.call(Command, "/identification/reset").code == "ok"
@@ -155,9 +152,11 @@ def share_of_the_disc(message):
 
 
 def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulation):
+    """They all come before the node looks at the first one, as if it had been held up: none is lost."""
     player.play(messages_of(bag))
     live = identify_all(ros, 20_000)
     assert (live.success, live.code) == (True, "ok"), live.message
+    assert not [warning for warning in live.report.warnings if "dropped" in warning]
     offline = fit_bags(Sources([bag]), None, FitSettings("joint", i_max=I_MAX))
     assert_close(live, offline.drive)
     recorded = identify(ros, "bag")
@@ -168,7 +167,7 @@ def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulati
     for reply in (live, recorded):
         assert reply.flux_map.header.frame_id == "drive"
         assert {path.name for path in Path(reply.output).iterdir()} == {
-            "identification.json", "flux_map.npz", "diagnostics.npz", "flux_map.png", "diagnostics.png"
+            "identification.json", "flux_map.npz", "diagnostics.npz"
         }  # fmt: skip
         assert len(reply.flux_map.inverter_current) == len(reply.flux_map.inverter_voltage) > 0
     last = int(simulation.samples.stamp[-1])
@@ -176,17 +175,6 @@ def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulati
     assert stamp.sec * 10**9 + stamp.nanosec == last
     assert live.output != recorded.output
     assert Path(live.output).parent == ros.folder / "results"
-
-
-def test_a_node_that_was_held_up_takes_all_that_came_meanwhile(ros, node, player, bag):
-    node.popen.send_signal(signal.SIGSTOP)
-    time.sleep(0.5)
-    player.play(messages_of(bag))
-    node.popen.send_signal(signal.SIGCONT)
-    reply = identify_all(ros, 20_000)
-    assert reply.success, reply.message
-    assert reply.report.samples_read == 20_000
-    assert not [warning for warning in reply.report.warnings if "dropped" in warning]
 
 
 def test_the_method_of_a_request(ros, player, bag):
@@ -218,40 +206,41 @@ def test_a_request_names_the_machine_and_its_recording(ros, player, bag):
 def test_method_full_needs_what_only_it_gathers(ros, player, bag):
     player.play(messages_of(bag))
     identify_all(ros, 20_000)
-    live, recorded = identify(ros, method="full"), identify(ros, "bag", method="full")
+    live = identify(ros, method="full")
     assert (live.success, live.code) == (False, "configuration")
     assert "accumulated for method joint" in live.message
-    assert recorded.success, recorded.message
-    assert recorded.flux_map.method == "full"
-    offline = fit_bags(Sources([bag]), None, FitSettings("full", i_max=I_MAX)).drive
-    assert recorded.flux_map.resistance == pytest.approx(offline.resistance, rel=1e-6)
-    np.testing.assert_allclose(recorded.flux_map.psi_d, offline.flux_map.psi_d.ravel(), rtol=1e-6, atol=1e-9)
 
 
-def test_a_node_of_defaults_fits_by_method_full_and_serves_the_others(ros, bag):
+def test_pictures_are_drawn_for_whom_wants_them(ros, bag):
+    folders = {"data_directory": str(bag.parent), "output_directory": str(ros.folder / "drawn")}
+    node = ros.host(MODULE, parameters=folders | {"method": "psm", "picture": True}, namespace="/drawing")
+    reply = identify(ros, bag.name, name="/drawing/identification/identify")
+    assert {path.name for path in Path(reply.output).glob("*.png")} == {"flux_map.png", "diagnostics.png"}
+    node.end()
+
+
+def test_a_node_of_defaults_fits_by_method_full_and_serves_the_others(ros, bag, fitted_in_full):
     node = "/desk/identification"
     name = f"{node}/identify"
     folders = {"data_directory": str(bag.parent), "output_directory": str(ros.folder / "desk")}
-    process = ros.start(MODULE, parameters=folders | {"i_max": I_MAX}, namespace="/desk")
+    process = ros.host(MODULE, parameters=folders | {"i_max": I_MAX}, namespace="/desk")
     player = Player(ros, namespace="/desk")
     player.wait_for_listeners()
     player.play(messages_of(bag))
-    live, recorded = identify_all(ros, 20_000, node), identify(ros, bag.name, name=name)
-    assert (live.success, recorded.success) == (True, True), (live.message, recorded.message)
-    assert live.flux_map.method == recorded.flux_map.method == "full"
-    offline = fit_bags(Sources([bag]), None, FitSettings(i_max=I_MAX)).drive
-    for reply in (live, recorded):
-        assert_close(reply, offline, tolerance=1e-6)
-        assert (Path(reply.output) / "harmonics.npz").exists()
+    live = identify_all(ros, 20_000, node)
+    assert live.success, live.message
+    assert live.flux_map.method == "full"
+    assert_close(live, fitted_in_full, tolerance=1e-6)
+    assert (Path(live.output) / "harmonics.npz").exists()
     assert len(live.flux_map.harmonic_orders) > 0
     for method in ("joint", "psm"):
         assert identify(ros, method=method, name=name).flux_map.method == method
     player.close()
-    assert process.end() == ""
+    process.end()
 
 
 @pytest.mark.usefixtures("player")
-def test_bad_requests_are_answered_and_the_node_goes_on(ros, node):
+def test_bad_requests_are_answered_and_the_node_goes_on(ros):
     outside = ros.folder / "outside"
     outside.mkdir()
     (ros.folder / "data" / "link").symlink_to(outside)
@@ -279,7 +268,6 @@ def test_bad_requests_are_answered_and_the_node_goes_on(ros, node):
         assert "\n" not in reply.message
         assert len(reply.flux_map.psi_d) == 0
         assert reply.output == ""
-    assert node.popen.poll() is None
     assert identify(ros, "bag").success
 
 
@@ -572,6 +560,7 @@ def test_best_effort_publishers_are_heard(ros, bag):
         player.close()
 
 
+@pytest.mark.process
 def test_the_shipped_parameters_load_and_a_fit_does_not_hold_up_the_end(ros, bag):
     """Splines of 32 x 32 keep the solver at work for a long time."""
     from drive_id_msgs.srv import Identify
@@ -600,26 +589,18 @@ def test_the_shipped_parameters_load_and_a_fit_does_not_hold_up_the_end(ros, bag
 
 
 def test_without_i_max_live_samples_are_refused_with_a_remedy(ros, bag):
-    process = ros.start(MODULE, parameters={"data_directory": str(bag.parent)}, namespace="/third")
+    node = ros.host(MODULE, parameters={"data_directory": str(bag.parent)}, namespace="/third")
     reply = identify(ros, name="/third/identification/identify")
     assert reply.code == "configuration"
     assert "i_max" in reply.message
-    assert process.interrupt()[0] == 0
-    assert "Traceback" not in process.output
+    node.end()
 
 
 @pytest.mark.parametrize(
     ("name", "value", "words"), [("i_max", -1.0, "i_max"), ("method", "static", "Method static fits operating points")]
 )
 def test_nonsense_at_start_is_one_sentence(ros, name, value, words):
-    process = ros.start(MODULE, parameters={name: value}, namespace="/fourth")
-    process.expected_to_fail = True
-    process.popen.wait(DEADLINE)
-    assert process.popen.returncode == 1
-    assert words in process.output
-    assert "Traceback" not in process.output
+    from rclpy.exceptions import ParameterException
 
-
-def test_the_node_ends_cleanly(node):
-    assert node.interrupt()[0] == 0, node.output
-    assert "Traceback" not in node.output, node.output
+    with pytest.raises((DriveIdError, ParameterException), match=words):
+        ros.host(MODULE, parameters={name: value}, namespace="/fourth")

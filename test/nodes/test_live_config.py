@@ -51,7 +51,8 @@ def test_every_parameter_has_a_comment_above_it_or_above_its_neighbours(name):
 def test_real_nodes_load_them():
     with ros_bench() as ros:
         for name, (module, _) in FILES.items():
-            ros.start(module, arguments=["--params-file", str(CONFIG / f"{name}.yaml")])
-        ros.wait(lambda: all("Ready" in process.output for process in ros.processes), "both to be ready")
-        assert [process.interrupt()[0] for process in ros.processes] == [0, 0]
-        assert "Traceback" not in ros.outputs()
+            node = ros.host(module, files=[CONFIG / f"{name}.yaml"]).node
+            given = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())["/**"]["ros__parameters"]
+            assert {parameter: node.get_parameter(parameter).value for parameter in given} == pytest.approx(
+                given, nan_ok=True
+            )

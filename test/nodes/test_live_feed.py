@@ -16,11 +16,7 @@ def ros():
         yield bench
 
 
-def lines(process):
-    return [json.loads(line) for line in process.output.splitlines() if line.startswith("{")]
-
-
-def test_it_prints_what_the_topics_of_its_drive_tell(ros):
+def test_it_prints_what_the_topics_of_its_drive_tell(ros, capsys):
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
     from drive_id_msgs.msg import DriveStatus, OperatingPoint, PublisherState
     from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -28,7 +24,7 @@ def test_it_prints_what_the_topics_of_its_drive_tell(ros):
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
     state = ros.node.create_publisher(PublisherState, "/one/trajectory_publisher/state", latched)
     state.publish(PublisherState(state="tripped", reason="Why.", duration=float("inf")))  # before the feed is there
-    process = ros.start("drive_id.nodes.live_feed", namespace="/one")
+    feed, lines = ros.host("drive_id.nodes.live_feed", namespace="/one"), []
     points = ros.node.create_publisher(OperatingPoint, "/one/operating_point", 10)
     others = ros.node.create_publisher(OperatingPoint, "/two/operating_point", 10)
     status = ros.node.create_publisher(DriveStatus, "/one/drive_status", 10)
@@ -43,7 +39,8 @@ def test_it_prints_what_the_topics_of_its_drive_tell(ros):
         others.publish(OperatingPoint(i_d=7.0, i_q=7.0))
         status.publish(DriveStatus(enabled=True, fault="", speed=3.0, dc_link_voltage=float("nan")))
         health.publish(DiagnosticArray(status=statuses))
-        return next((line[name] for line in lines(process) if name in line), None)
+        lines.extend(json.loads(line) for line in capsys.readouterr().out.splitlines())
+        return next((line[name] for line in lines if name in line), None)
 
     for name, expected in (
         ("publisher", {"state": "tripped", "reason": "Why.", "duration": None}),
@@ -54,11 +51,12 @@ def test_it_prints_what_the_topics_of_its_drive_tell(ros):
         found = told(name)
         assert {key: found[key] for key in expected} == expected
     ros.wait(lambda: told("points") is not None, "points")
-    assert {tuple(point) for line in lines(process) for point in line.get("points", [])} == {(1.0, 2.0)}
-    assert {name for line in lines(process) for name in line.get("nodes", {})} == {"/one/identification"}
-    assert process.interrupt()[0] == 0
+    assert {tuple(point) for line in lines for point in line.get("points", [])} == {(1.0, 2.0)}
+    assert {name for line in lines for name in line.get("nodes", {})} == {"/one/identification"}
+    feed.end()
 
 
+@pytest.mark.process
 def test_it_ends_when_nobody_reads(ros):
     assert ros.node
     nobody_speaks = ("--ros-args", "-r", "__ns:=/alone")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from functools import partial
 
@@ -11,7 +10,7 @@ from recorder_blocks import PERIOD, TOPICS, block
 from ros_bench import DEADLINE, require_ros, ros_bench
 from test_recorder_node import Bench, change_state
 
-REQUESTS = 1000
+REQUESTS = 200
 
 
 @pytest.fixture
@@ -33,7 +32,7 @@ def settings(ros, **further):
 
 def test_the_lifecycle_of_identification(ros):
     given = settings(ros, i_max=40.0, method="joint", autostart=False)
-    process = ros.start("drive_id.nodes.identification", parameters=given)
+    ros.host("drive_id.nodes.identification", parameters=given)
     change, bench = partial(change_state, ros, "/identification"), Bench(ros)
     heard = bench.publishers[TOPICS[0].name].get_subscription_count
     assert (reply := identify(ros)).code == "inactive"
@@ -58,14 +57,12 @@ def test_the_lifecycle_of_identification(ros):
     assert change("shutdown")
     assert (reply := identify(ros)).code == "inactive"
     assert "The node was shut down and stays so: start its process again." in reply.message
-    assert process.interrupt()[0] == 0
-    assert "Traceback" not in process.output
 
 
 def test_a_request_under_way_ends_with_the_activity(ros):
     from drive_id_msgs.srv import Identify
 
-    process = ros.start("drive_id.nodes.identification", parameters=settings(ros, i_max=40.0))
+    ros.host("drive_id.nodes.identification", parameters=settings(ros, i_max=40.0))
     bench = Bench(ros)
     bench.publishers.pop(TOPICS[3].name)
     bench.wait_for_listeners()
@@ -76,7 +73,6 @@ def test_a_request_under_way_ends_with_the_activity(ros):
     ros.wait(future.done, "a reply")
     assert not future.result().success  # these samples make no map anyway
     assert future.result().code in {"inactive", "coverage", "standstill", "unexplained", "data"}
-    assert process.interrupt()[0] == 0
 
 
 def test_the_lifecycle_of_the_bridge(ros):
@@ -91,16 +87,15 @@ def test_the_lifecycle_of_the_bridge(ros):
     received = []
     kept = ros.node.create_subscription(PhaseCurrents, "/phase_currents", received.append, 1000)
     given = {"signals": str(file), "autostart": False}
-    process = ros.start("drive_id.nodes.signal_bridge", parameters=given)
+    ros.host("drive_id.nodes.signal_bridge", parameters=given)
     change, bench = partial(change_state, ros, "/signal_bridge"), Bench(ros, namespace="/in")
     bench.publishers = {topic.name: bench.publishers[topic.name] for topic in TOPICS[:3]}
     assert change("configure")
     bench.wait_for_listeners()
     bench.publish(30)
-    until = time.monotonic() + 0.5
-    ros.wait(lambda: time.monotonic() > until, "a while")
+    bench.wait_until_delivered()
+    assert change("activate")  # by then, it has seen what came before
     assert received == []
-    assert change("activate")
 
     def translated():
         bench.publish(1)
@@ -110,21 +105,19 @@ def test_the_lifecycle_of_the_bridge(ros):
     assert change("deactivate")
     assert change("cleanup")
     ros.wait(lambda: not any(p.get_subscription_count() for p in bench.publishers.values()), "no subscription")
-    assert process.interrupt()[0] == 0
-    assert "Traceback" not in process.output
     ros.node.destroy_subscription(kept)
 
 
-def test_each_of_a_thousand_requests_at_once_is_answered(ros):
-    """With the default queue, a client on a busy machine may lose some replies, and a small socket loses requests."""
+def test_each_of_many_requests_at_once_is_answered(ros):
+    """With the default queue of ten, a client on a busy machine may lose some replies."""
     from drive_id_msgs.srv import Identify, StartExperiment, StartRecording
     from rclpy.qos import qos_profile_services_default as default
 
     from drive_id.nodes.support.qos import SERVICE
 
-    ros.start("drive_id.nodes.identification", parameters=settings(ros, i_max=40.0))
-    ros.start("drive_id.nodes.recorder", parameters={"data_directory": str(ros.folder)})
-    ros.start("drive_id.nodes.trajectory_publisher")
+    ros.host("drive_id.nodes.identification", parameters=settings(ros, i_max=40.0))
+    ros.host("drive_id.nodes.recorder", parameters={"data_directory": str(ros.folder)})
+    ros.host("drive_id.nodes.trajectory_publisher")
     for kind, name, usual, profile, least in (
         (Identify, "/identification/identify", "busy", SERVICE, REQUESTS),
         (StartRecording, "/recorder/start", "busy", default, 0.5 * REQUESTS),
@@ -133,7 +126,6 @@ def test_each_of_a_thousand_requests_at_once_is_answered(ros):
         ros.call(kind, name)  # answered: the services know each other
         client = ros.node.create_client(kind, name, qos_profile=profile)
         ros.wait(client.service_is_ready, name)
-        time.sleep(1.0)
         futures = [client.call_async(kind.Request()) for _ in range(REQUESTS)]
         ros.wait(lambda: sum(f.done() for f in futures) >= least, "all replies", DEADLINE)  # noqa: B023
         codes = Counter(future.result().code for future in futures if future.done())
@@ -143,22 +135,20 @@ def test_each_of_a_thousand_requests_at_once_is_answered(ros):
 
 
 def test_blocks_out_of_order_are_neither_lost_by_the_recorder_nor_by_the_fit(ros):
-    """57 of 1257 blocks late, as a tester had it."""
+    """One of 22 blocks late, as a tester had it."""
     from drive_id_msgs.srv import StartRecording, StopRecording
 
-    ros.start("drive_id.nodes.recorder", parameters={"data_directory": str(ros.folder)})
+    ros.host("drive_id.nodes.recorder", parameters={"data_directory": str(ros.folder)})
     bench = Bench(ros)
     bench.wait_for_listeners()
     assert ros.call(StartRecording, "/recorder/start", name="bag").success
-    for number in sorted(range(1257), key=lambda k: k + 7.5 * (k % 22 == 5)):
+    for number in sorted(range(257), key=lambda k: k + 7.5 * (k % 22 == 5)):
         for topic in TOPICS:
             bench.publishers[topic.name].publish(block(topic.type_name, 100 * number, 100))
-        if number % 20 == 0:
-            time.sleep(0.02)
     bench.wait_until_delivered()
     reply = ros.call(StopRecording, "/recorder/stop")
-    assert (reply.success, reply.code, reply.samples, reply.dropped) == (True, "ok", 125_700, 0)
+    assert (reply.success, reply.code, reply.samples, reply.dropped) == (True, "ok", 25_700, 0)
     from drive_id.files.read.several import read_recording
 
     recording = read_recording(ros.folder / "bag")
-    assert (len(recording.samples), recording.samples.run_starts.tolist()) == (125_700, [0])
+    assert (len(recording.samples), recording.samples.run_starts.tolist()) == (25_700, [0])

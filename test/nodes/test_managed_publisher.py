@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from ros_bench import require_ros, ros_bench
+from simulated_time import SimulatedTime
 
 MODULE = "drive_id.nodes.trajectory_publisher"
 NAME = "/trajectory_publisher"
@@ -18,7 +19,10 @@ NAME = "/trajectory_publisher"
 def ros():
     require_ros()
     with ros_bench() as bench:
-        bench.start("drive_id.nodes.bench_simulator")
+        simulator = bench.host("drive_id.nodes.bench_simulator", parameters={"use_sim_time": True})
+        clock = SimulatedTime(bench)
+        last = clock.follow_topics(lambda: simulator, lambda: bench.hosted[-1])
+        bench.wait(lambda: "resolver" in last, "the bench")
         yield bench
 
 
@@ -39,8 +43,8 @@ class Managed:
         self.subscription = ros.node.create_subscription(
             CurrentReference, "/current_reference", self.blocks.append, STREAM
         )
-        patient = {"lead_time": 2.0, "watch_timeout": 10.0, "clock_offset": 10.0}  # other tests keep this machine busy
-        self.process = ros.start(MODULE, parameters={"i_max": 20.0, **patient, **parameters})
+        given = {"i_max": 20.0, "lead_time": 1.0, "watch_timeout": 10.0, "use_sim_time": True}
+        self.node = ros.host(MODULE, parameters=given | parameters)
 
     def change(self, label="", number=0):
         from lifecycle_msgs.msg import Transition
@@ -113,8 +117,7 @@ class Managed:
     def close(self):
         self.ros.node.destroy_subscription(self.subscription)
         self.ros.forget_clients()
-        assert self.process.interrupt()[0] == 0, self.process.output
-        assert "Traceback" not in self.process.output
+        self.node.end()
 
 
 def test_without_autostart_each_state_permits_what_it_should(ros):
@@ -161,7 +164,7 @@ def test_without_activate_it_configures_itself_and_waits(ros):
     assert managed.ask("start_experiment").code == "inactive"
     assert managed.change("activate")
     managed.begin()
-    assert managed.process.interrupt()[0] == 0
+    managed.node.end()
     managed.assert_ends_at_zero()
     managed.close()
 
@@ -251,7 +254,7 @@ def test_it_activates_itself_and_ends_at_zero_with_the_process(ros):
     managed.begin()
     assert not managed.change("configure")
     assert managed.state() == "active"
-    assert managed.process.interrupt()[0] == 0
+    managed.node.end()
     managed.assert_ends_at_zero()
     managed.close()
 
@@ -271,7 +274,7 @@ def test_an_incompatible_subscription_is_named(ros):
     assert "transient local" in sentence
     ros.node.destroy_subscription(subscription)
     managed.health(lambda values: "receives nothing" not in values["message"])
-    assert managed.process.output.count("receives nothing") == 1
+    assert managed.node.output.count("receives nothing") == 1
     managed.close()
 
 

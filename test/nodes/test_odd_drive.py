@@ -1,4 +1,4 @@
-"""What forbids a start or trips, at process level: a drive with something wrong, and two emergency stops."""
+"""What forbids a start or trips: a drive with something wrong, and two emergency stops."""
 
 from __future__ import annotations
 
@@ -195,12 +195,13 @@ def test_of_two_on_one_topic_a_press_counts_and_a_release_only_of_the_last_one(d
     drive.clear()
 
 
+@pytest.mark.process
 def test_a_killed_characterize_leaves_no_current_behind(drive, tmp_path):
     """Nobody else stops a trajectory without end (``repeat`` 0): no heartbeat comes any more, for ``lease_time``."""
-    recorder, identification = (
-        drive.ros.start(f"drive_id.nodes.{name}", parameters={"data_directory": str(tmp_path)} | further)
+    hosted = [
+        drive.ros.host(f"drive_id.nodes.{name}", parameters={"data_directory": str(tmp_path)} | further)
         for name, further in (("recorder", {}), ("identification", {"output_directory": str(tmp_path / "results")}))
-    )
+    ]
     client = drive.ros.start("drive_id.ros.characterize")
     drive.ros.wait(lambda: drive.state.state == "running", "a run")
     begun = time.monotonic()
@@ -210,5 +211,5 @@ def test_a_killed_characterize_leaves_no_current_behind(drive, tmp_path):
     drive.trips("The client that started has sent no heartbeat for")
     flowed = drive.at_zero_since - drive.heartbeat
     assert 1.0 < flowed < 2.4 + ALLOWANCE  # the publisher may have heard the last one before this test
-    for process in (recorder, identification):
-        assert process.interrupt()[0] == 0, process.output
+    for node in hosted:
+        node.end()

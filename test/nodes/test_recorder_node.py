@@ -1,4 +1,4 @@
-"""The node ``recorder`` as a process: recordings by service, counts, publishers that do not fit, disks, and its end."""
+"""The node ``recorder``: recordings by service, counts, publishers that do not fit, disks, and its end."""
 
 from __future__ import annotations
 
@@ -72,9 +72,9 @@ class Bench:
 
 
 class Recorder:
-    """The node, and what it says on ``/diagnostics``."""
+    """The node, in a process of its own or not, and what it says on ``/diagnostics``."""
 
-    def __init__(self, ros, *, namespace="", **parameters):
+    def __init__(self, ros, *, namespace="", process=False, **parameters):
         from diagnostic_msgs.msg import DiagnosticArray
 
         self.ros = ros
@@ -83,7 +83,7 @@ class Recorder:
         self.status = None
         self.subscription = ros.node.create_subscription(DiagnosticArray, "/diagnostics", self._hear, 10)
         parameters = {"data_directory": str(self.data), **parameters}
-        self.process = ros.start(MODULE, parameters=parameters, namespace=namespace)
+        self.node = (ros.start if process else ros.host)(MODULE, parameters=parameters, namespace=namespace)
 
     def _hear(self, array):
         for status in array.status:
@@ -147,35 +147,41 @@ def test_a_recording_by_service(ros):
     again = recorder.start("second")
     assert (again.success, again.uri) == (False, "")
     assert "first is being recorded: stop it first" in again.message
-    bench.publish(200)
-    recorder.wait_for_samples(phase_currents=20000, phase_voltages=20000, resolver=20000, current_reference=20000)
+    bench.publish(50)
+    recorder.wait_for_samples(phase_currents=5000, phase_voltages=5000, resolver=5000, current_reference=5000)
     assert recorder.wait_for_status("Recording")["samples dropped"] == "0"
     reply = recorder.stop()
     assert reply.success, reply.message
-    assert (reply.samples, reply.dropped, reply.uri) == (20000, 0, str(recorder.data / "first"))
-    assert reply.duration == pytest.approx(1.9999, abs=1e-9)
-    expected = [(topic.name, block(topic.type_name, number * 100)) for topic in TOPICS for number in range(20, 220)]
+    assert (reply.samples, reply.dropped, reply.uri) == (5000, 0, str(recorder.data / "first"))
+    assert reply.duration == pytest.approx(0.4999, abs=1e-9)
+    expected = [(topic.name, block(topic.type_name, number * 100)) for topic in TOPICS for number in range(20, 70)]
     assert sorted(stock_messages(recorder.data / "first")) == sorted(expected)
     assert not (recorder.data / "second").exists()
-    assert recorder.process.interrupt()[0] == 0
-    assert "Traceback" not in recorder.process.output
+    assert "Recording" in recorder.node.output
 
 
 def test_a_recording_holds_what_arrived_between_start_and_stop(ros):
-    """Even what the executor had not come to; several times, because who comes first is a matter of luck."""
+    """Even what the executor comes to only after the request."""
+    from drive_id_msgs.srv import StartRecording, StopRecording
+
     recorder, bench = Recorder(ros), Bench(ros)
     bench.wait_for_listeners()
-    for number in range(5):
-        bench.publish(100)
+
+    def ask(kind, service, **fields):
+        """Ask, and publish before the executor has come to it."""
+        future = ros.call_async(kind, f"/recorder/{service}", **fields)
+        bench.publish(10)
         bench.wait_until_delivered()
-        assert recorder.start(f"bag_{number}").success
-        first = bench.next
-        bench.publish(150)
-        bench.wait_until_delivered()
-        reply = recorder.stop()
-        assert (reply.success, reply.samples, reply.dropped) == (True, 15000, 0), reply.message
-        expected = [(topic.name, block(topic.type_name, (first + k) * 100)) for topic in TOPICS for k in range(150)]
-        assert sorted(stock_messages(recorder.data / f"bag_{number}")) == sorted(expected)
+        ros.wait(future.done, service)
+        return future.result()
+
+    assert ask(StartRecording, "start", name="bag").success
+    first = bench.next
+    bench.publish(50)
+    reply = ask(StopRecording, "stop")
+    assert (reply.success, reply.samples, reply.dropped) == (True, 6000, 0), reply.message
+    expected = [(topic.name, block(topic.type_name, (first + k) * 100)) for topic in TOPICS for k in range(60)]
+    assert sorted(stock_messages(recorder.data / "bag")) == sorted(expected)
 
 
 def test_names_are_confined(ros):
@@ -216,13 +222,11 @@ def test_losses_and_silence_are_told(ros):
 
 
 @pytest.fixture
-def stranger(ros, monkeypatch):
+def stranger(ros):
     """A node that is apart from the test's own, as if in another process."""
     from rclpy.context import Context
     from rclpy.node import Node
 
-    for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
-        monkeypatch.setenv(name, ros.environment[name])
     context = Context()
     context.init(args=[], domain_id=int(ros.environment["ROS_DOMAIN_ID"]))
     node = Node("stranger", context=context)
@@ -446,15 +450,16 @@ def test_pause_resume_and_split(ros):
 # -- ends ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.process
 def test_a_full_disk(ros):
-    recorder, bench = Recorder(ros, chunk_size=8192, flush_period=0.1), Bench(ros)
+    recorder, bench = Recorder(ros, process=True, chunk_size=8192, flush_period=0.1), Bench(ros)
     bench.wait_for_listeners()
     assert recorder.start("bag").success
-    resource.prlimit(recorder.process.popen.pid, resource.RLIMIT_FSIZE, (155_000, 10**9))
+    resource.prlimit(recorder.node.popen.pid, resource.RLIMIT_FSIZE, (155_000, 10**9))
     bench.publish(300)
     no_disk = os.strerror(errno.EFBIG)
     recorder.wait_for_status(no_disk, 2)
-    resource.prlimit(recorder.process.popen.pid, resource.RLIMIT_FSIZE, (10**9, 10**9))
+    resource.prlimit(recorder.node.popen.pid, resource.RLIMIT_FSIZE, (10**9, 10**9))
     reply = recorder.stop()
     assert not reply.success
     assert f"cannot be written ({no_disk})" in reply.message
@@ -468,25 +473,28 @@ def test_a_full_disk(ros):
     bench.publish(2)
     recorder.wait_for_samples(phase_currents=200)
     assert recorder.stop().success
-    assert f"cannot be written ({no_disk})" in recorder.process.output
+    assert f"cannot be written ({no_disk})" in recorder.node.output
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_node_ends_during_a_recording(ros, number):
-    recorder, bench = Recorder(ros), Bench(ros)
+    recorder, bench = Recorder(ros, process=True), Bench(ros)
     bench.wait_for_listeners()
     assert recorder.start("bag").success
     bench.publish(10)
     recorder.wait_for_samples(phase_currents=1000, resolver=1000)
-    code, _ = recorder.process.interrupt(number=number)
+    code, _ = recorder.node.interrupt(number=number)
     assert code == 0
-    assert "Traceback" not in recorder.process.output
+    assert "Traceback" not in recorder.node.output
     assert len(read_recording(recorder.data / "bag").samples) == 1000
     assert read_recording(recorder.data / "bag").warnings == ()
 
 
-def test_a_recorder_that_is_killed(ros):
-    recorder, bench = Recorder(ros, flush_period=0.2), Bench(ros)
+@pytest.mark.process
+def test_a_recorder_that_is_killed_and_started_again(ros):
+    """What was flushed can be read, and whoever comes next tells of the recording that broke off."""
+    recorder, bench = Recorder(ros, process=True, flush_period=0.2), Bench(ros)
     bench.wait_for_listeners()
     assert recorder.start("bag").success
     bench.publish(100)
@@ -500,43 +508,32 @@ def test_a_recorder_that_is_killed(ros):
 
     ros.wait(flushed, "the flush of 10000 samples")
     bench.publish(1)
-    recorder.process.popen.send_signal(signal.SIGKILL)
-    recorder.process.popen.wait()
+    recorder.node.popen.send_signal(signal.SIGKILL)
+    recorder.node.popen.wait()
     recording = read_recording(path)
     assert "was not completed" in recording.warnings[0]
     assert 10000 <= len(recording.samples) <= 10100
     recovery = recover_bag(path)
     assert len(stock_messages(recovery.output)) == sum(recovery.topics.values()) >= 400
-    again = Recorder(ros, namespace="/again")  # another name, for the killed one's services seem to be there still
-    reply = again.start("bag")
-    assert (reply.success, reply.code) == (False, "output")
-    assert "exists already" in reply.message
 
-
-def test_a_recorder_that_is_started_again_tells_of_the_recording_that_broke_off(ros):
-    recorder = Recorder(ros, flush_period=0.1)
-    assert recorder.start("bag").success
-    recorder.process.popen.send_signal(signal.SIGKILL)
-    recorder.process.popen.wait()
     ros.forget_clients()
     again = Recorder(ros)
-    broken = f"The recorder died while it recorded {recorder.data / 'bag'}, which breaks off there"
+    broken = f"The recorder died while it recorded {path}, which breaks off there"
     again.wait_for_status(broken, 2)
-    assert broken in again.process.output
+    ros.wait(lambda: broken in again.node.output, "a word in the log")
     reply = again.stop()
     assert (reply.success, reply.code) == (False, "not_recording")
     assert reply.message.startswith(broken)
-    bench = Bench(ros)
-    bench.wait_for_listeners()
+    reply = again.start("bag")
+    assert (reply.success, reply.code) == (False, "output")
+    assert "exists already" in reply.message
     assert again.start("next").success
     bench.publish(2)
     again.wait_for_samples(phase_currents=200)
     assert again.stop().success
     again.wait_for_status("Not recording.", 0)
-    assert again.process.interrupt()[0] == 0
-    ros.forget_clients()
-    third = Recorder(ros)
-    third.wait_for_status("Not recording.", 0)
+    again.node.end()
+    Recorder(ros).wait_for_status("Not recording.", 0)
     assert not list(recorder.data.glob(".recording*"))
 
 
@@ -595,8 +592,6 @@ def test_the_lifecycle(ros):
     recorder.wait_for_samples(phase_currents=300)
     assert change("shutdown")
     assert len(read_recording(recorder.data / "second").samples) == 300
-    assert recorder.process.interrupt()[0] == 0
-    assert "Traceback" not in recorder.process.output
 
 
 def change_state(ros, node, label):
@@ -613,7 +608,7 @@ def test_the_shipped_file_holds_the_defaults(ros):
     from rcl_interfaces.srv import DescribeParameters, GetParameters, SetParametersAtomically
     from rclpy.parameter import Parameter, parameter_value_to_python
 
-    recorder = ros.start(MODULE, arguments=["--params-file", str(CONFIG)])
+    ros.host(MODULE, files=[CONFIG])
     names = list(RecordingSettings.__dataclass_fields__)
     given = yaml.safe_load(CONFIG.read_text())["/**"]["ros__parameters"]
     assert RecordingSettings(**given) == RecordingSettings()
@@ -631,4 +626,3 @@ def test_the_shipped_file_holds_the_defaults(ros):
     assert change("max_file_size", 5.0).successful
     for name, value in (("chunk_size", 10**6), ("compression", "zip"), ("flush_period", 0.0), ("queue_depth", 2000)):
         assert not change(name, value).successful, name
-    assert recorder.interrupt()[0] == 0

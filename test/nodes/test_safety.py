@@ -56,11 +56,13 @@ def test_the_table_states_the_times_that_are_checked(safety):
     assert rows() == {name: hazard.stated for name, hazard in safety.HAZARDS.items()}
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("name", rows())
 def test_a_hazard_ends_at_zero_current(safety, sound, name):
     safety.react(sound, name, ALLOWANCE)
 
 
+@pytest.mark.process
 def test_a_publisher_held_up_for_3_s_sends_no_current_when_it_goes_on(safety, sound):
     """The drive has run out of set-points long before; what the process had in hand must not begin anew."""
     heard = []
@@ -92,6 +94,7 @@ def test_a_publisher_held_up_for_3_s_sends_no_current_when_it_goes_on(safety, so
         assert "hears nobody any more: start it again" in process.text
 
 
+@pytest.mark.process
 def test_random_scripts(safety, sound):
     for number in range(8):
         safety.script(sound, 7, number, ALLOWANCE)

@@ -22,7 +22,7 @@ def ros():
             parameters = {} if name in {"trajectory_publisher", "live_feed"} else {"data_directory": str(bench.folder)}
             if name == "identification":
                 parameters |= {"output_directory": str(bench.folder / "out")}
-            bench.start(f"drive_id.nodes.{name}", parameters=parameters)
+            bench.host(f"drive_id.nodes.{name}", parameters=parameters)
         yield bench
 
 

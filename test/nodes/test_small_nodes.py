@@ -12,7 +12,7 @@ from ros_bench import ros_bench
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 SUPPORT = Path(__file__).parent.parent / "support"
-FITS = 5
+FITS = 3
 MEMORY = {"trajectory_publisher": 90.0, "recorder": 90.0, "identification": 250.0}
 """MB at rest."""
 AFTER_FITS = 400.0
@@ -46,15 +46,19 @@ def ready(ros, name, **options):
     return process
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("name", MEMORY)
 def test_a_node_at_rest_is_small_and_soon_ready(ros, name):
-    ready(ros, name, namespace="/first").interrupt()  # compiles what is not in the cache
     process = ready(ros, name)
+    if "compiling" in process.output:  # what is not in the cache, which takes longer once
+        process.interrupt()
+        process = ready(ros, name)
     assert processor_time(process) < READY
     assert memory(process) < MEMORY[name]
     assert process.interrupt()[0] == 0
 
 
+@pytest.mark.process
 def test_fits_of_bags_leave_no_memory_behind(ros, bag, monkeypatch):
     from drive_id_msgs.srv import Identify
 
@@ -63,9 +67,6 @@ def test_fits_of_bags_leave_no_memory_behind(ros, bag, monkeypatch):
     data.mkdir()
     shutil.copytree(bag, data / "bag")
     folders = {"data_directory": str(data), "output_directory": str(ros.folder / "results"), "i_max": 300.0}
-    before = ready(ros, "identification", parameters=folders, namespace="/before")  # loads and compiles
-    ros.call(Identify, "/before/identification/identify", bags=["bag"])
-    before.interrupt()
     process = ready(ros, "identification", parameters=folders, namespace="/again")
     after = []
     for _ in range(FITS):
@@ -76,13 +77,14 @@ def test_fits_of_bags_leave_no_memory_behind(ros, bag, monkeypatch):
     assert after[-1] < after[0] + KEPT_AFTER_THE_FIRST, after
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("trajectory", ["lissajous", "stair"])
 def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
     from diagnostic_msgs.msg import DiagnosticArray
     from std_srvs.srv import Trigger
 
     namespace = f"/{trajectory}"
-    bench = ready(ros, "bench_simulator", namespace=namespace)
+    bench = ros.host("drive_id.nodes.bench_simulator", files=[CONFIG / "bench_simulator.yaml"], namespace=namespace)
     ros.environment["PYTHONPATH"] = os.pathsep.join([str(SUPPORT), os.environ.get("PYTHONPATH", "")])
     process = ros.start(
         "timed_publisher",
@@ -103,7 +105,7 @@ def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
     ros.wait(lambda: float(heard[name].get("elapsed [s]", 0)) > 3.0, "three seconds of the trajectory")
     ros.node.destroy_subscription(subscription)
     assert process.interrupt()[0] == 0, process.output
-    assert bench.interrupt()[0] == 0, bench.output
+    bench.end()
     spent = dict(re.findall(r"^spent: \S+\.(\w+) (.*)$", process.output, re.MULTILINE))
     assert {"_on_timer", "_on_currents", "_on_resolver", "publish"} <= set(spent)
     for callback, figures in spent.items():

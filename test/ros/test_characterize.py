@@ -3,25 +3,15 @@
 from __future__ import annotations
 
 import importlib
-import os
-import subprocess
+import signal
 import sys
 from types import SimpleNamespace
 
 import pytest
 from rich.console import Console
-from ros_bench import DEADLINE, own_domain, require_ros
+from ros_bench import own_domain, require_ros
 
 MODULE = "drive_id.ros.characterize"
-
-
-@pytest.fixture(scope="module")
-def environment():
-    """A domain in which there is no node at all."""
-    require_ros()
-    domain, lock = own_domain()
-    yield {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    lock.close()
 
 
 @pytest.fixture(scope="module")
@@ -31,29 +21,42 @@ def characterize():
     return importlib.import_module(MODULE)
 
 
-def run(environment, *arguments):
-    return subprocess.run(
-        [sys.executable, "-m", MODULE, *arguments],
-        env=dict(os.environ) | environment, capture_output=True, text=True, timeout=DEADLINE, check=False,
-    )  # fmt: skip
+@pytest.fixture
+def run(characterize, monkeypatch, capsys):
+    """Return a function that runs the command in a domain without any node, and gives code, output and complaint."""
+    domain, lock = own_domain()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(domain))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+
+    def command(*arguments):
+        monkeypatch.setattr(sys, "argv", [MODULE, *arguments])
+        with pytest.raises(SystemExit) as end:
+            characterize.main()
+        return SimpleNamespace(returncode=end.value.code, **capsys.readouterr()._asdict())
+
+    yield command
+    for number, handler in handlers.items():
+        signal.signal(number, handler)
+    lock.close()
 
 
-def test_an_output_that_cannot_be_made_is_refused_at_once(environment, tmp_path):
+def test_an_output_that_cannot_be_made_is_refused_at_once(run, tmp_path):
     """It was noticed after the whole experiment, by a traceback."""
     (tmp_path / "file").touch()
-    done = run(environment, "--output", str(tmp_path / "file" / "out"))
+    done = run("--output", str(tmp_path / "file" / "out"))
     assert done.returncode == 1
-    assert done.stdout == ""  # nothing was waited for
-    assert done.stderr.startswith("characterize: ")
-    assert len(done.stderr.splitlines()) == 1
-    assert "cannot be made a folder (Not a directory): give another --output." in done.stderr
+    assert done.out == ""  # nothing was waited for
+    assert done.err.startswith("characterize: ")
+    assert len(done.err.splitlines()) == 1
+    assert "cannot be made a folder (Not a directory): give another --output." in done.err
 
 
-def test_an_output_that_holds_results_is_refused_at_once(environment, tmp_path):
+def test_an_output_that_holds_results_is_refused_at_once(run, tmp_path):
     (tmp_path / "recording").mkdir()
-    done = run(environment, "--output", str(tmp_path))
+    done = run("--output", str(tmp_path))
     assert done.returncode == 1
-    assert done.stderr == (
+    assert done.err == (
         f"characterize: {tmp_path / 'recording'} exists already: remove it, or give another --output.\n"
     )
 
@@ -70,15 +73,15 @@ def test_a_missing_truth_is_one_sentence(characterize, tmp_path):
         characterize.read_truth(tmp_path / "truth.npz")
 
 
-def test_it_says_what_it_waits_for(environment):
-    done = run(environment, "--start-up", "6")
+def test_it_says_what_it_waits_for(run):
+    done = run("--start-up", "6")
     assert done.returncode == 1
     waiting = (
         "waiting for identification and recorder and trajectory_publisher (the first start compiles the numerical "
     )
-    assert done.stdout.startswith(f"1. The nodes are started.\n     5 s  {waiting}")
-    assert done.stderr.startswith(f"characterize: After 6 s, still {waiting}")
-    assert len(done.stderr.splitlines()) == 1
+    assert done.out.startswith(f"1. The nodes are started.\n     5 s  {waiting}")
+    assert done.err.startswith(f"characterize: After 6 s, still {waiting}")
+    assert len(done.err.splitlines()) == 1
 
 
 @pytest.mark.parametrize("columns", ["40", "200"])

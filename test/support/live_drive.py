@@ -1,4 +1,4 @@
-"""A trajectory publisher and a simulated bench as processes, and what they say to each other."""
+"""A trajectory publisher and a simulated bench, and what they say to each other."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ SETTINGS = {
 
 
 class LiveDrive:
-    """Both processes in one namespace, everything that they publish, and their services.
+    """Both nodes in one namespace, everything that they publish, and their services.
 
     Their time is simulated while the test waits, by the ``clock`` given, or by the bench itself without any.
     """
 
-    def __init__(self, ros, namespace="", publisher=None, bench=None, *, clock=None, simulator=BENCH, **remaps):
+    def __init__(
+        self, ros, namespace="", publisher=None, bench=None, *, clock=None, simulator=BENCH, process=False, **remaps
+    ):
         from diagnostic_msgs.msg import DiagnosticArray
         from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, PublisherState, Resolver
         from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -36,8 +38,9 @@ class LiveDrive:
         arguments = [text for name, other in remaps.items() for text in ("-r", f"{name}:={other}")]
         bench = {"use_sim_time": clock is not None} | (bench or {})
         publisher = SETTINGS | {"use_sim_time": True} | (publisher or {})
-        self.bench = ros.start(simulator, parameters=bench, arguments=arguments, namespace=namespace)
-        self.publisher = ros.start(PUBLISHER, parameters=publisher, arguments=arguments, namespace=namespace)
+        make = ros.start if process else ros.host
+        self.bench = make(simulator, parameters=bench, arguments=arguments, namespace=namespace)
+        self.publisher = make(PUBLISHER, parameters=publisher, arguments=arguments, namespace=namespace)
         self.messages, self._before = {}, {}
         for kind, name in (
             (PhaseCurrents, "phase_currents"), (PhaseVoltages, "phase_voltages"), (Resolver, "resolver"),
@@ -149,7 +152,7 @@ class LiveDrive:
 
     def replace_bench(self):
         """Start another bench in place of one that was killed, whose samples end where that died."""
-        self.bench = self.ros.start(BENCH, parameters={"use_sim_time": True}, namespace=self.namespace)
+        self.bench = self.ros.host(BENCH, parameters={"use_sim_time": True}, namespace=self.namespace)
         for name in SIGNALS:
             self.messages[name].clear()
             self._before.pop(name, None)

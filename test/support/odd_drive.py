@@ -1,4 +1,4 @@
-"""A drive inside the test's own node, with whatever is wrong with it as attributes, and a publisher as a process."""
+"""A drive inside the test's own node, with whatever is wrong with it as attributes, and a publisher."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ GIVEN = {"i_max": 50.0, "repeat": 0, "lead_time": 2.0, "watch_timeout": 5.0}
 class OddDrive:
     """Follows references at once; a block every 20 ms while the test waits."""
 
-    def __init__(self, ros, **parameters):
+    def __init__(self, ros, process=False, **parameters):
         from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState, Resolver
         from std_msgs.msg import Empty
 
@@ -51,7 +51,9 @@ class OddDrive:
         ros.node.create_subscription(Empty, f"/{PUBLISHER}/heartbeat", self._on_heartbeat, 10)
         ros.node.create_timer(0.02, self._on_timer)
         files = (CONFIG / f"{PUBLISHER}.yaml",)
-        self.publisher = ros.start(f"drive_id.nodes.{PUBLISHER}", parameters=GIVEN | parameters, files=files)
+        self.publisher = (ros.start if process else ros.host)(
+            f"drive_id.nodes.{PUBLISHER}", parameters=GIVEN | parameters, files=files
+        )
 
     def is_driven(self):
         return bool(self._references.last.any())

@@ -1,9 +1,12 @@
-"""Real processes over DDS for the tests of the nodes: start them, talk to them, end them with SIGINT, all bounded."""
+"""Nodes over DDS for the tests: in the test's own executor, or as processes where the process is the point."""
 
 from __future__ import annotations
 
 import contextlib
+import gc
+import importlib
 import importlib.util
+import inspect
 import os
 import signal
 import socket
@@ -73,6 +76,10 @@ class Process:
         return self.log.read_text(errors="replace")
 
     @property
+    def alive(self):
+        return self.popen.poll() is None
+
+    @property
     def has_failed(self):
         """Whether it has ended of itself, and wrongly; what a test kills, has not."""
         return not self.expected_to_fail and self.popen.poll() not in {None, 0, -signal.SIGKILL}
@@ -97,54 +104,105 @@ class Process:
         return f"{self.log.name}: exit code {self.popen.returncode}" if self.has_failed else ""
 
 
+class Hosted:
+    """A node in the test's own process and executor, with arguments as on a command line: an error in it is the test's.
+
+    Its context is the test's, so both know each other at once.
+    """
+
+    has_failed = False
+
+    def __init__(self, ros, module, arguments):
+        from rclpy.node import Node
+
+        self._ros = ros
+        source = importlib.import_module(module)
+        (kind,) = (
+            kind
+            for _, kind in inspect.getmembers(source, inspect.isclass)
+            if issubclass(kind, Node) and kind.__module__ == module
+        )
+        begun = len(ros.logged)
+        with _as_if_alone(ros.context, arguments):
+            self.node = kind()
+        self.name = self.node.get_fully_qualified_name()
+        self._begun, self.alive = begun, True
+        ros.executor.add_node(self.node)
+
+    @property
+    def output(self):
+        """What it has logged, as far as it was heard."""
+        mine = self.name[1:].replace("/", ".")
+        return "\n".join(log.msg for log in self._ros.logged[self._begun :] if log.name == mine)
+
+    def end(self):
+        """End it as its process does when it is told to, and return that nothing was wrong."""
+        if self.alive and hasattr(self.node, "close"):
+            self.node.close()
+        self.vanish()
+        return ""
+
+    def vanish(self):
+        """End it without a word, as if its process were killed."""
+        if self.alive:
+            self.alive = False
+            self._ros.executor.remove_node(self.node)
+            for _ in range(2):  # the executor forgets the node, then makes the calls that were due before
+                done = self._ros.executor.create_task(lambda: None)
+                while not done.done():
+                    self._ros.executor.spin_once(timeout_sec=0.02)
+            self.node.destroy_node()
+            self.node = None
+            gc.collect()  # it refers to itself, and would stay in the graph
+
+
 class RosBench:
-    """A node of the test's own in a domain of its own, and the processes that it has started."""
+    """A node of the test's own in a domain of its own, the nodes that it hosts, and the processes it has started."""
 
     def __init__(self, folder):
+        from rcl_interfaces.msg import Log
         from rclpy.context import Context
-        from rclpy.executors import SingleThreadedExecutor
-        from rclpy.node import Node
 
         from drive_id.nodes.support.middleware import fast_dds
 
         self.folder = Path(folder)
-        self.environment = dict(os.environ)
         domain, self._lock = own_domain()
-        self.environment |= {
-            "ROS_DOMAIN_ID": str(domain),
-            "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-            "ROS_LOG_DIR": str(self.folder / "ros_log"),
-            "PYTHONFAULTHANDLER": "1",
-        }
+        self._patch = pytest.MonkeyPatch()  # also for whatever makes a context of its own in this process
+        self._patch.setenv("ROS_DOMAIN_ID", str(domain))
+        self._patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        self._patch.setenv("ROS_LOG_DIR", str(self.folder / "ros_log"))
+        self.environment = os.environ | {"PYTHONFAULTHANDLER": "1"}
         profiles = self.folder / "heartbeats.xml"
         profiles.write_text(HEARTBEATS)
-        with (
-            _environment(self.environment),
-            fast_dds(),
-            _environment({"FASTRTPS_DEFAULT_PROFILES_FILE": str(profiles)}),
-        ):
+        with fast_dds(), pytest.MonkeyPatch.context() as patch:
+            patch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(profiles))
             self.context = Context()
             self.context.init(args=[], domain_id=domain)
-            self.node = Node("test_bench", context=self.context)
-        self.executor = SingleThreadedExecutor(context=self.context)
+            self.node = _node_without_events("test_bench", self.context)
+        self.executor = _executor(self.context)
         self.executor.add_node(self.node)
-        self.processes = []
+        self.processes, self.hosted = [], []
+        self.logged = []
+        self.node.create_subscription(Log, "/rosout", self.logged.append, 1000)
         self.meanwhile = []
         """Called again and again while the test waits."""
         self._clients = {}
+
+    def host(self, module, *, parameters=None, files=(), arguments=(), namespace=""):
+        """Make the node of a module in this process, with parameters as in :meth:`start`, and run it while waiting."""
+        node = Hosted(self, module, _arguments(parameters, files, arguments, namespace))
+        self.hosted.append(node)
+        return node
 
     def start(self, module, *, parameters=None, files=(), arguments=(), namespace="", alone=False):
         """Start ``python -m module`` with parameter files, and with parameters by name that prevail over them.
 
         What is alone does not know of any other process, nor anybody of it.
         """
-        given = [part for file in files for part in ("--params-file", str(file))]
-        for name, value in (parameters or {}).items():
-            given += ["-p", f"{name}:={_yaml(value)}"]
-        remaps = ["-r", f"__ns:={namespace}"] if namespace else []
         log = self.folder / f"{module.rsplit('.', 1)[-1]}_{len(self.processes)}.log"
         environment = self.environment | ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"} if alone else {})
-        process = Process(module, ["--ros-args", *given, *remaps, *arguments], environment, log)
+        given = _arguments(parameters, files, arguments, namespace)
+        process = Process(module, ["--ros-args", *given], environment, log)
         self.processes.append(process)
         return process
 
@@ -162,13 +220,16 @@ class RosBench:
         return value
 
     def outputs(self):
-        return "\n".join(f"--- {process.log.name}\n{process.output}" for process in self.processes)
+        hosted = [f"--- {node.name}\n{node.output}" for node in self.hosted]
+        return "\n".join([*hosted, *(f"--- {process.log.name}\n{process.output}" for process in self.processes)])
 
     def call_async(self, kind, name, /, timeout=DEADLINE, **fields):
         """Send a request when the service is there and return the future."""
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
-            self._wait_until_known(name.rpartition("/")[0])
+            node = name.rpartition("/")[0]
+            if node not in {hosted.name for hosted in self.hosted}:
+                self._wait_until_known(node)
         client = self._clients[name]
         self.wait(client.service_is_ready, f"service {name}", timeout)
         return client.call_async(kind.Request(**fields))
@@ -211,11 +272,12 @@ class RosBench:
         return future.result()
 
     def close(self):
-        troubles = [trouble for process in self.processes if (trouble := process.end())]
+        troubles = [trouble for each in (*self.hosted, *self.processes) if (trouble := each.end())]
         self.executor.shutdown()
         self.node.destroy_node()
         self.context.try_shutdown()
         self._lock.close()
+        self._patch.undo()
         if troubles:
             pytest.fail("\n".join([*troubles, self.outputs()]))
 
@@ -232,15 +294,54 @@ def ros_bench():
             bench.close()
 
 
-@contextlib.contextmanager
-def _environment(values):
-    before = dict(os.environ)
-    os.environ.update(values)
+def _executor(context):
+    """Return the executor of the nodes (:mod:`drive_id.nodes.support.runtime`)."""
     try:
+        from rclpy.experimental.events_executor import EventsExecutor
+    except ImportError:
+        from rclpy.executors import SingleThreadedExecutor
+
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
+
+
+def _node_without_events(name, context):
+    """Return a node whose publishers and subscriptions may go while an event of theirs waits for an events executor."""
+    from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+    from rclpy.node import Node
+
+    class Quiet(Node):
+        def create_publisher(self, *args, **options):
+            events = PublisherEventCallbacks(use_default_callbacks=False)
+            return super().create_publisher(*args, **({"event_callbacks": events} | options))
+
+        def create_subscription(self, *args, **options):
+            events = SubscriptionEventCallbacks(use_default_callbacks=False)
+            return super().create_subscription(*args, **({"event_callbacks": events} | options))
+
+    return Quiet(name, context=context)
+
+
+@contextlib.contextmanager
+def _as_if_alone(context, arguments):
+    """Give a node that is made in the body what it would find as a process of its own: a context, and arguments."""
+    from rclpy.node import Node
+
+    def make(node, name, **options):
+        plain(node, name, **{"context": context, "cli_args": ["--ros-args", *arguments], **options})
+
+    plain = Node.__init__
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Node, "__init__", make)
         yield
-    finally:
-        os.environ.clear()
-        os.environ.update(before)
+
+
+def _arguments(parameters, files, further, namespace):
+    given = [part for file in files for part in ("--params-file", str(file))]
+    for name, value in (parameters or {}).items():
+        given += ["-p", f"{name}:={_yaml(value)}"]
+    remaps = ["-r", f"__ns:={namespace}"] if namespace else []
+    return [*given, *remaps, *further]
 
 
 def _yaml(value):

@@ -7,6 +7,7 @@ up the clock of them all.
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import numpy as np
 
@@ -59,9 +60,19 @@ class SimulatedTime:
         samples, references : callable
             Return the last message of a bench, and of a publisher of references; None so far.
         bench, publisher : callable
-            Return the processes.
+            Return the nodes.
         """
         self._followed.append((samples, references, bench, publisher))
+
+    def follow_topics(self, bench, publisher):
+        """Wait for the drive in the namespace of the test's own node; return its last messages by topic."""
+        from drive_id_msgs.msg import CurrentReference, Resolver
+
+        last = {}
+        for kind, name in ((Resolver, "resolver"), (CurrentReference, "current_reference")):
+            self.ros.node.create_subscription(kind, name, partial(last.__setitem__, name), 1000)
+        self.follow(partial(last.get, "resolver"), partial(last.get, "current_reference"), bench, publisher)
+        return last
 
     def _tick(self):
         now = time.monotonic_ns()
@@ -76,10 +87,10 @@ class SimulatedTime:
 
     def _is_ready(self, samples, references, bench, publisher):
         last = samples()
-        if last is not None and bench().popen.poll() is None and self.now - end_of(last, last.angle) >= LAG:
+        if last is not None and bench().alive and self.now - end_of(last, last.angle) >= LAG:
             return False
         last = references()
-        if last is None or publisher().popen.poll() is not None or not np.any([last.d, last.q]):
+        if last is None or not publisher().alive or not np.any([last.d, last.q]):
             return True
         return end_of(last, last.d) - self.now > LAG
 

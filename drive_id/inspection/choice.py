@@ -104,7 +104,8 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
 def _with_time(table: Table) -> Table:
     """Return a table without the few rows whose time is blank, as the headers between captures of one file."""
     times = [x for name, x in table.columns.items() if suggests(name, "time")]
-    there = np.all([np.isfinite(x) for x in times if np.isfinite(x).mean() >= _MOST_THERE] or [True], axis=0)
+    known = [np.isfinite(x) for x in times if np.isfinite(x).mean() >= _MOST_THERE]
+    there = np.all(known, axis=0) if known else np.ones(1, np.bool_)
     if there.all() or len(table.stamp):
         return table
     return replace(table, columns={name: x[there] for name, x in table.columns.items()})

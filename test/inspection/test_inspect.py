@@ -535,7 +535,7 @@ def test_single_missing_values_are_named_and_do_not_prevent_a_draft(tmp_path, sa
     found = check(write_parquet(tmp_path / "log.parquet", table))
     assert "fields: [ia, ib, ic]" in found.draft.text
     assert "equally_spaced" not in found.draft.text
-    assert "non_finite" in [finding.code for finding in found.findings]
+    assert "values_missing" in [warning.code for warning in found.warnings]
 
 
 @pytest.mark.filterwarnings("error::RuntimeWarning")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -89,7 +90,7 @@ class OperatingData:
         off = (current < _OFF * current.max()) & (voltage < _OFF * voltage.max()) & (speed > _TURNING * speed.max())
         if not off.any() or off.all():
             return self, 0
-        kept = {
+        kept: dict[str, Any] = {
             name: None if (values := getattr(self, name)) is None else values[~off]
             for name in ("i_dq", "u_dq", "speed", "time", "winding_temperature")
         }

@@ -312,7 +312,9 @@ class Bench:
         """
         self._configure(self.drive, asdict(encoder))
 
-    def identify(self, bags: Sequence[str] = (), method: str = "", signals: str = "", **names: str) -> Identified:
+    def identify(
+        self, bags: Sequence[str] = (), method: str = "", signals: str = "", *, part: str = "", **names: str
+    ) -> Identified:
         """Identify the drive.
 
         Parameters
@@ -323,6 +325,8 @@ class Bench:
             ``psm``, ``joint`` or ``full``; default: as the node is configured.
         signals : str
             Signals file for the recordings, on the machine of the node; default: as the node is configured.
+        part : {"", "before", "after"}
+            Of live samples, where the drive was restarted or exchanged meanwhile.
         **names : str
             ``machine``, ``serial``, ``bench``, ``operator``, ``notes``; default: as the node is configured.
 
@@ -331,7 +335,7 @@ class Bench:
         ExperimentError
             When the node refuses or does not answer; its sentence tells why.
         """
-        wanted = {"bags": list(bags), "method": method, "signals": signals}
+        wanted = {"bags": list(bags), "method": method, "signals": signals, "part": part}
         wanted |= {NAMES[name]: text for name, text in names.items()}
         reply = self._required(f"{IDENTIFICATION}/identify", **wanted)
         return Identified(reply.flux_map, reply.report, reply.output, reply.message)

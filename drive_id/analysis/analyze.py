@@ -12,10 +12,10 @@ from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelop
 from drive_id.analysis.folder import Analysis, Figure, SpeedRange
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.maps import CurrentMaps
-from drive_id.analysis.operation import Operation, OperationErrors
+from drive_id.analysis.operation import Operation, OperationErrors, changes
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.settings import AnalysisSettings
-from drive_id.analysis.trajectories import CurrentLocus, characteristic_current, mtpa, mtpv
+from drive_id.analysis.trajectories import CurrentLocus, characteristic_current, mtpa, mtpa_angle_changes, mtpv
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.messages import Message
 from drive_id.result.result import Result
@@ -27,6 +27,7 @@ _FURTHEST = 4.0  # largest current of an analysis relative to that of the map
 _LEAST_TORQUE = 1e-4  # at i_max, of the product of flux and current: less counts as none
 _MOST_FALLING = 0.5  # share of the points with data at which a flux may fall with its own current
 _BEYOND = 0.05  # share by which the last speed must be exceeded if it is only the end of the tables
+_TURN = 1e-4  # of a current, for the voltage's slope along its circle, rad
 _WEAKENING = 4.0  # highest speed of the tables, in corner speeds
 
 
@@ -203,17 +204,23 @@ def _sigma_saliency(model: MachineModel) -> float:
 
 
 def _corner(model: MachineModel, of_speed: SpeedRange) -> Figure:
-    """Return the corner speed; its standard error is that of the voltage divided by the voltage's slope over speed."""
+    """Return the corner speed; its changes are those of the voltage divided by the voltage's slope over speed.
+
+    The voltage changes at a given current, and because the current of the largest torque turns on its circle.
+    """
     speed, i_dq = of_speed.corner, of_speed.motoring.i_dq[:1]
     if not speed > 0:
         return Figure(speed, np.nan, "rad/s", inside=False)
-    point = Operation.at(model, i_dq, np.array([speed]))
-    errors = OperationErrors.of(model, point)
-    step = 1e-3 * speed + 1e-6
-    ahead = Operation.at(model, point.i_dq, point.speed + step)
-    slope = float((ahead.voltage - point.voltage)[0]) / step
-    sigma = float(errors.voltage[0]) / slope if slope > 0 else np.nan
-    return Figure(speed, sigma, "rad/s", bool(model.inside(*i_dq[0])))
+    point, step = Operation.at(model, i_dq, np.array([speed])), 1e-3 * speed + 1e-6
+    slope = float((Operation.at(model, i_dq, point.speed + step).voltage - point.voltage)[0]) / step
+    changed, inside = changes(model, point, ("voltage",), of_stator=False), bool(model.inside(*i_dq[0]))
+    if changed is None or not inside or slope <= 0:
+        return Figure(speed, np.nan, "rad/s", inside)
+    turned = _TURN * np.array([[-i_dq[0, 1], i_dq[0, 0]]])
+    by_angle = (Operation.at(model, i_dq + turned, point.speed).voltage - point.voltage) / _TURN
+    angle = np.arctan2(i_dq[:, 1], i_dq[:, 0])
+    moved = np.nan_to_num(mtpa_angle_changes(model, np.hypot(*i_dq.T), angle)) * by_angle
+    return Figure(speed, float(combined(changed["voltage"] + moved)[0]) / slope, "rad/s", inside)
 
 
 def _statements(

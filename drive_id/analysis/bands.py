@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 _ANY_CORRELATION = np.sqrt(2.0)
 """Two errors of unknown correlation add up to at most this times the root of their squares."""
+IRON_LOSS = ("iron_loss_conductance", "iron_loss_hysteresis", "iron_loss_current")
+"""Names of the parts of the iron loss among what a fit identifies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +34,7 @@ class ModelErrors:
     psi_q: FloatArray  # (M, D, Q), Wb
     resistance: FloatArray  # (M,), ohm
     inverter_voltage: FloatArray  # (M, C), V
-    iron: FloatArray  # (M,), relative change of the iron loss
+    iron: FloatArray  # (M, 3), of the parts of the iron loss: conductance, S; hysteresis, S rad/s; coercivity, A
     joint: bool
     """Whether correlations are known. Otherwise each flux linkage has one common error over the whole map, the bands
     hold for any correlation, and the errors of slopes are unknown."""
@@ -68,12 +70,11 @@ class ModelErrors:
         by_magnet = []
         if magnet and drive.magnet_coefficient is not None:
             by_magnet = [magnet * float(_known(drive.magnet_coefficient[1]))]
-        losses = [entry for entry in drive.calibrations if entry.name.startswith("iron_loss") and entry.applied]
-        by_iron = [float(_known(entry.sigma)) / entry.value if entry.value else 0.0 for entry in losses]
+        by_iron = _of_iron(drive)
         first, more = len(resistance), (0, len(by_magnet) + len(by_iron))
         psi_d, psi_q = (np.pad(psi, (more, (0, 0), (0, 0))) for psi in (psi_d, psi_q))
         psi_d[first : first + len(by_magnet)] = np.reshape(by_magnet, (-1, 1, 1))
-        iron = np.concatenate([np.zeros(first + len(by_magnet)), by_iron])
+        iron = np.concatenate([np.zeros((first + len(by_magnet), len(IRON_LOSS))), by_iron])
         resistance, voltage = np.pad(warmer * resistance, more), np.pad(voltage, (more, (0, 0)))
         return cls(longer.i_d, longer.i_q, psi_d, psi_q, resistance, voltage, iron, joint=modes is not None)
 
@@ -98,6 +99,13 @@ class ModelErrors:
 def combined(changes: FloatArray) -> FloatArray:
     """Return the standard error (...) of a figure with changes (M, ...)."""
     return np.asarray(np.sqrt(np.sum(changes**2, axis=0)))
+
+
+def _of_iron(drive: IdentifiedDrive) -> FloatArray:
+    """Return one cause of error for each identified part of the iron loss (0 to 3, 3): its own standard error."""
+    sigmas = {entry.name: entry.sigma for entry in drive.calibrations if entry.applied and entry.name in IRON_LOSS}
+    found = np.diag(_known(np.array([sigmas.get(name, 0.0) for name in IRON_LOSS])))
+    return found[[name in sigmas for name in IRON_LOSS]]
 
 
 def _known(value: FloatArray | float) -> FloatArray:

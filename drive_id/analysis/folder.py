@@ -37,11 +37,17 @@ if TYPE_CHECKING:
 FORMAT = "drive_id/analysis"
 MARKER = "analysis.json"
 FORMAT_VERSION = 1
-_UNITS = {
-    "current": "A", "i_d": "A", "i_q": "A", "psi_d": "Wb", "psi_q": "Wb", "torque": "Nm", "speed": "rad/s, mechanical",
-    "voltage": "V", "power": "W", "u_dc": "V", "L": "H", "kp": "V/A", "ki": "V/(A s)", "losses": "W", "angle": "rad",
-    "resistance": "ohm",
+UNITS = {
+    "current": "A", "i_d": "A", "i_q": "A", "psi_d": "Wb", "psi_q": "Wb", "torque": "Nm", "requested_torque": "Nm",
+    "braking_torque": "Nm", "torque_ripple": "Nm", "speed": "rad/s, mechanical", "voltage": "V", "power": "W",
+    "electrical_power": "W", "u_dc": "V", "L": "H", "L_d": "H", "L_q": "H", "L_dd": "H", "L_dq": "H", "L_qd": "H",
+    "L_qq": "H", "kp": "V/A", "kp_d": "V/A", "kp_q": "V/A", "ki": "V/(A s)", "losses": "W", "copper_loss": "W",
+    "iron_loss": "W", "inverter_loss": "W", "efficiency": "1", "saliency": "1", "angle": "rad", "resistance": "ohm",
+    "phase_a": "V", "phase_b": "V", "phase_c": "V", "limit": "", "inside": "1",
 }  # fmt: skip
+"""Unit of each column and array by its name; that of a standard error ``sigma_X`` is that of X."""
+SIDECAR = "csv-metadata.json"
+"""Where the W3C's "CSV on the Web" looks for what the columns of the tables in a folder mean."""
 _DIGITS = 12  # of numbers in CSV: more than any is accurate to
 _RPM = math.pi / 30  # rad/s
 Columns = Mapping[str, Iterable[Any]]
@@ -193,7 +199,8 @@ class Analysis:
         """
         text = json.dumps(analysis_tree(self), indent=1, allow_nan=False) + "\n"
         files = {name: _csv(columns) for name, columns in tables(self).items()}
-        files |= {"maps.npz": npz_bytes(self.maps.arrays()), MARKER: text.encode()}
+        units = json.dumps(_sidecar(tables(self)), indent=1) + "\n"
+        files |= {"maps.npz": npz_bytes(self.maps.arrays()), SIDECAR: units.encode(), MARKER: text.encode()}
         replace_folder(Path(directory), files, marker=MARKER, kind=FORMAT, force=force)
 
 
@@ -219,8 +226,8 @@ def analysis_tree(analysis: Analysis) -> dict[str, Any]:
         "statements": list(analysis.statements),
         "warnings": list(result.warnings),
         "settings": asdict(settings),
-        "files": [*tables(analysis), "maps.npz"],
-        "units": _UNITS,
+        "files": [*tables(analysis), SIDECAR, "maps.npz"],
+        "units": UNITS,
         "version": VERSION,
     }  # fmt: skip
 
@@ -235,6 +242,18 @@ def tables(analysis: Analysis) -> dict[str, Columns]:
         **{name: _joined([columns(model, entry) for entry in ranges]) for name, columns in over_speed.items()},
         "compensation.csv": _compensation(analysis.compensation),
     }
+
+
+def _sidecar(files: Mapping[str, Columns]) -> dict[str, Any]:
+    """Return the columns of the tables with their units, as W3C's "Metadata Vocabulary for Tabular Data" wants them."""
+
+    def column(name: str) -> dict[str, str]:
+        unit = UNITS[name.removeprefix("sigma_")]
+        kind = {"datatype": "string"} if name == "limit" else {"datatype": "number"}
+        return {"name": name, "titles": name} | kind | ({"schema:unitText": unit} if unit else {})
+
+    described = [{"url": file, "tableSchema": {"columns": [*map(column, columns)]}} for file, columns in files.items()]
+    return {"@context": "http://www.w3.org/ns/csvw", "tables": described}
 
 
 def _trajectory(points: CurrentLocus) -> Columns:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drive_id.analysis.bands import ModelErrors, combined
+from drive_id.analysis.iron_loss import IronLoss
 from drive_id.analysis.surfaces import Surfaces
-from drive_id.core.maps.continuation import LongerGrid
+from drive_id.core.maps.continuation import LongerGrid, continued
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
@@ -23,47 +24,13 @@ if TYPE_CHECKING:
 _MARGIN = 1.25  # reach of the map, in i_max; a trajectory or a controller's overshoot may need more than the data cover
 _ANGLES = 180  # over a half turn of the current, for the fundamental of the drop and the rim of the disc
 _FEWEST = 16  # points with data from which a map can be continued
+_CONSEQUENCE = (
+    "Gains and exports for simulation use the nearest monotone map; a fit with monotone set finds one itself."
+)
+_LEAST_SLOPE = 0.05
+"""Of the nearest monotone map relative to the typical one: a spline through its samples is up to 0.02 less steep."""
 _RIM = 1.001
 """Current relative to i_max that counts as i_max."""
-
-
-@dataclass(frozen=True)
-class IronLoss:
-    """The iron-loss current, in phase with the induced voltage e at electrical speed omega.
-
-    ``i_fe = (conductance + hysteresis / abs(omega) + coercivity / abs(e)) e``; the map's current is the stator current
-    minus i_fe.
-    """
-
-    conductance: float = 0.0  # S
-    hysteresis: float = 0.0  # S rad/s
-    coercivity: float = 0.0  # A
-
-    @classmethod
-    def of(cls, result: Result) -> IronLoss:
-        """Return the iron loss that a fit identified, zero if it identified none."""
-        found = {entry.name: entry.value for entry in result.calibrations if entry.applied}
-        return cls(
-            conductance=found.get("iron_loss_conductance", 0.0),
-            hysteresis=found.get("iron_loss_hysteresis", 0.0),
-            coercivity=found.get("iron_loss_current", 0.0),
-        )
-
-    @property
-    def known(self) -> bool:
-        """Whether any iron loss was identified."""
-        return self != IronLoss()
-
-    def scaled(self, factor: float) -> IronLoss:
-        """Return this loss times a factor."""
-        return IronLoss(factor * self.conductance, factor * self.hysteresis, factor * self.coercivity)
-
-    def current(self, e_dq: FloatArray, speed: FloatArray) -> FloatArray:
-        """Return i_fe (..., 2), A, for induced voltages (..., 2), V, at electrical speeds (...), rad/s."""
-        size, turning = np.hypot(e_dq[..., 0], e_dq[..., 1]), np.abs(speed)
-        share = self.conductance + self.hysteresis / np.where(turning > 0, turning, np.inf)
-        share = share + self.coercivity / np.where(size > 0, size, np.inf)
-        return np.asarray(share[..., None] * e_dq)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +69,7 @@ class MachineModel:
     u_dc: float | None
     inverter_current: FloatArray
     inverter_voltage: FloatArray
-    iron: IronLoss = IronLoss()
+    iron: IronLoss = field(default_factory=IronLoss)
     temperature: float | None = None
     magnet_temperature: float | None = None
     errors: ModelErrors | None = None
@@ -116,6 +83,7 @@ class MachineModel:
         magnet_temperature: float | None = None,
         pole_pairs: int | None = None,
         u_dc: float | None = None,
+        reach: float = 0.0,
     ) -> MachineModel:
         """Build the model of a result, fitted, loaded or imported.
 
@@ -131,6 +99,8 @@ class MachineModel:
             Default: those of the result.
         u_dc : float, optional
             V. Default: that of the result.
+        reach : float
+            To which both axes of the map are continued at least, A.
 
         Raises
         ------
@@ -155,7 +125,7 @@ class MachineModel:
                 f"The flux map has only {found.inside.sum()} points with data: at least {_FEWEST} are needed; record "
                 "more of the current disc."
             )
-        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * result.i_max)
+        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, max(_MARGIN * result.i_max, reach))
         psi_d, psi_q = longer.flux(found.psi_d, 0), longer.flux(found.psi_q, 1)
         sigmas = np.full((2, *longer.known.shape), np.nan)
         sigmas[:, longer.places[0], longer.places[1]] = found.sigma_d, found.sigma_q
@@ -187,10 +157,15 @@ class MachineModel:
         """
         d, q = _currents(i_d, i_q)
         size = np.hypot(d, q)
-        cell = np.hypot(*(np.diff(axis).max() for axis in (self.flux_map.i_d, self.flux_map.i_q)))
+        cell = self.cell
         rim = (size > self.i_max - cell) & (size <= _RIM * self.i_max)
         inward = np.where(rim, 1 - cell / np.maximum(size, cell), 1.0)
         return np.isfinite(self.flux_map.psi_dq(inward * d, inward * q)[0])
+
+    @property
+    def cell(self) -> float:
+        """Largest diagonal of a cell of the map's grid, A."""
+        return float(np.hypot(*(np.diff(axis).max() for axis in (self.flux_map.i_d, self.flux_map.i_q))))
 
     def psi_dq(self, i_d: ArrayLike, i_q: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return psi_d and psi_q (...), Wb, averaged over the rotor position."""
@@ -317,11 +292,14 @@ class MachineModel:
     @cached_property
     def _rising(self) -> tuple[BoolArray, BoolArray]:
         """Tell at nodes and between them where the inductance matrix is positive definite, and where data are."""
-        axes = [
-            np.sort(np.append(axis, axis[:-1] + np.diff(axis) / 2)) for axis in (self.flux_map.i_d, self.flux_map.i_q)
-        ]
-        i_d, i_q = np.meshgrid(*axes, indexing="ij")
-        return _definite(self._surfaces.slopes(i_d, i_q)), self.inside(i_d, i_q)
+        i_d, i_q = np.meshgrid(*self._nodes, indexing="ij")
+        return definite(self._surfaces.slopes(i_d, i_q)), self.inside(i_d, i_q)
+
+    @property
+    def _nodes(self) -> tuple[FloatArray, FloatArray]:
+        """Currents of the grid's nodes and between them along both axes, A."""
+        i_d, i_q = (np.sort(np.append(x, x[:-1] + np.diff(x) / 2)) for x in (self.flux_map.i_d, self.flux_map.i_q))
+        return i_d, i_q
 
     def control_inductances(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
         """Return incremental inductances (..., 2, 2), H, that are positive definite where there are data.
@@ -335,7 +313,7 @@ class MachineModel:
         """
         d, q = _currents(i_d, i_q)
         found = (self._surfaces if self.monotone_inside else self.inverted).slopes(d, q)
-        wrong = ~_definite(found) & self.inside(d, q)
+        wrong = ~definite(found) & self.inside(d, q)
         if wrong.any():
             raise CoverageError(
                 f"The incremental inductances are not positive at {int(wrong.sum())} of {wrong.size} currents, even "
@@ -344,15 +322,21 @@ class MachineModel:
             )
         return found
 
-    @cached_property
+    @property
     def least_inductance(self) -> float:
         """The smallest incremental inductance, in any direction, within i_max where there are data, H."""
+        return self.inductance_range[0]
+
+    @cached_property
+    def inductance_range(self) -> tuple[float, float]:
+        """The smallest and largest incremental inductance, in any direction, within i_max where there are data, H."""
         turn = np.linspace(0, 2 * np.pi, _ANGLES, endpoint=False)
         rim = self.i_max * np.stack([np.cos(turn), np.sin(turn)], axis=-1)
         points = np.concatenate([self.flux_map.grid().reshape(-1, 2), rim])
         kept = (np.hypot(*points.T) <= _RIM * self.i_max) & self.inside(*points.T)
         found = self.control_inductances(*points[kept].T)
-        return float(np.linalg.eigvalsh(0.5 * (found + np.swapaxes(found, -1, -2)))[:, 0].min())
+        sizes = np.linalg.eigvalsh(0.5 * (found + np.swapaxes(found, -1, -2)))
+        return float(sizes.min()), float(sizes.max())
 
     @cached_property
     def inverted(self) -> Surfaces:
@@ -364,8 +348,42 @@ class MachineModel:
         found, grid = self.flux_map, self.flux_map.grid()
         points, psi = grid[found.inside], np.stack([found.psi_d, found.psi_q], axis=-1)[found.inside]
         reach = 1 + float(np.abs(grid).max() / np.hypot(points[:, 0], points[:, 1]).max())
-        whole = fit_monotone(points, psi, reach=max(REACH, reach)).psi(grid)
+        whole = fit_monotone(points, psi, reach=max(REACH, reach), margin=_LEAST_SLOPE).psi(grid)
         return Surfaces.over(found.i_d, found.i_q, whole[..., 0], whole[..., 1])
+
+    @cached_property
+    def rising(self) -> MachineModel:
+        """The drive with a map that is monotone everywhere, as a simulation needs it.
+
+        Where there are data, it is the map itself if that is monotone there, else the nearest monotone map.
+        """
+        if self.monotone:
+            return self
+        found, grid = self.flux_map, self.flux_map.grid()
+        nearest = np.moveaxis(self.inverted.values(grid[..., 0], grid[..., 1]), -1, 0)
+        whole = replace(self, flux_map=replace(found, psi_d=nearest[0], psi_q=nearest[1]), own=self.inverted)
+        if not self.monotone_inside:
+            return whole
+        away = np.stack([found.psi_d, found.psi_q]) - nearest
+        psi_d, psi_q = nearest + continued(away, found.inside, (found.i_d, found.i_q), (0.0, 0.0))
+        kept = replace(self, flux_map=replace(found, psi_d=psi_d, psi_q=psi_q))
+        return kept if kept.monotone else whole
+
+    @property
+    def fold(self) -> str:
+        """A sentence on where the map is not monotone although there are data."""
+        axes, (rising, inside) = self._nodes, self._rising
+        wrong = np.argwhere(inside & ~rising)
+        d, q = (axis[place] for axis, place in zip(axes, wrong.T, strict=True))
+        slopes = self.inductances(d, q)
+        own = np.stack([slopes[:, 0, 0], slopes[:, 1, 1]])
+        axis, k = np.unravel_index(own.argmin(), own.shape)
+        name = "dq"[int(axis)]
+        return (
+            f"The map is not monotone everywhere, it folds: at {len(wrong)} of {int(inside.sum())} currents within the "
+            f"data the inductances are not positive definite, and L_{name}{name} falls to {own[axis, k] * 1e3:.3g} mH "
+            f"at i_d = {d[k]:.3g} A, i_q = {q[k]:.3g} A, which no machine does."
+        )
 
     @cached_property
     def _surfaces(self) -> Surfaces:
@@ -373,7 +391,15 @@ class MachineModel:
         return Surfaces.around(self.own, found.inside, found.i_d, found.i_q, (found.psi_d, found.psi_q))
 
 
-def _definite(slopes: FloatArray) -> BoolArray:
+def folded(result: Result) -> str:
+    """Return the sentence on where the map of a result folds; empty where it does not, or is too small to tell."""
+    if not result.origin.turning or result.flux_map.inside.sum() < _FEWEST:
+        return ""
+    model = MachineModel.of(result)
+    return "" if model.monotone_inside else f"{model.fold} {_CONSEQUENCE}"
+
+
+def definite(slopes: FloatArray) -> BoolArray:
     """Tell which matrices (..., 2, 2) have a positive definite symmetric part."""
     cross = 0.5 * (slopes[..., 0, 1] + slopes[..., 1, 0])
     return np.asarray((slopes[..., 0, 0] > 0) & (slopes[..., 0, 0] * slopes[..., 1, 1] > cross**2))

@@ -11,6 +11,9 @@ from drive_id.analysis.bands import combined
 from drive_id.analysis.machine import MachineModel
 from drive_id.types import BoolArray, FloatArray
 
+_IRON_ROUNDS = 3
+"""Rounds in which the map's current follows from that of the stator: the loss hardly changes with what it takes."""
+
 
 @dataclass(frozen=True, eq=False)
 class Operation:
@@ -137,22 +140,38 @@ class OperationErrors:
         return cls(**{name: np.where(known, sigma, np.nan) for name, sigma in sigmas.items()})
 
 
-def changes(model: MachineModel, points: Operation, names: Iterable[str]) -> dict[str, FloatArray] | None:
+def changes(
+    model: MachineModel, points: Operation, names: Iterable[str], *, of_stator: bool = True
+) -> dict[str, FloatArray] | None:
     """Return the changes (M, ...) of figures by name with each cause of error of the model; None without errors.
 
-    The currents of the map stay the same.
+    The currents of the stator stay the same, and with iron loss those of the map change by what the loss takes; or,
+    unless ``of_stator``, those of the map stay.
     """
     errors = model.errors
     if errors is None or not len(errors):
         return None
-    d, q = points.i_dq[..., 0], points.i_dq[..., 1]
-    psi, others = np.stack(model.psi_dq(d, q), axis=-1), []
-    for k, change in enumerate(errors.fluxes(d, q)):
+    others = []
+    for k, change in enumerate(errors.fluxes(points.i_dq[..., 0], points.i_dq[..., 1])):
         wrong = replace(
             model,
             resistance=model.resistance + errors.resistance[k],
             inverter_voltage=model.inverter_voltage + errors.inverter_voltage[k],
-            iron=model.iron.scaled(1 + errors.iron[k]),
+            iron=model.iron.changed(errors.iron[k]),
         )
-        others.append(Operation.of_flux(wrong, points.i_dq, psi + change, points.speed))
+        others.append(_changed(wrong, points, change, _IRON_ROUNDS if of_stator and wrong.iron.known else 0))
     return {name: np.array([getattr(other, name) - getattr(points, name) for other in others]) for name in names}
+
+
+def _changed(model: MachineModel, points: Operation, change: FloatArray, rounds: int) -> Operation:
+    """Evaluate a changed model, whose fluxes (..., 2) differ by ``change``, Wb, at the map's currents of points.
+
+    In each further round, the map's currents follow from the stator currents of the points.
+    """
+    i_dq = points.i_dq
+    for left in range(rounds, -1, -1):
+        psi = np.stack(model.psi_dq(i_dq[..., 0], i_dq[..., 1]), axis=-1)
+        found = Operation.of_flux(model, i_dq, psi + change, points.speed)
+        if left:
+            i_dq = i_dq + points.stator - found.stator
+    return found

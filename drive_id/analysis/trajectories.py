@@ -17,6 +17,7 @@ _WIDTH = 4  # steps to both sides in each round
 _BISECTIONS = 40  # of the angle of an MTPV point: to rounding
 _CIRCLES = 61  # on which the beginning of the MTPV locus is looked for
 _BETWEEN = 17  # circles between the last one without and the first one with it
+_LOST = 1e-4  # share of the torque at the same flux that a point of MTPV may give away; else the locus is elsewhere
 _NARROWINGS = 4  # times that those are refined: to 3e-7 of i_max
 _ANGLE_STEP = np.deg2rad(1.0)  # for differences of the torque along a circle
 
@@ -67,7 +68,7 @@ def mtpa(model: MachineModel, i_max: float, points: int = 41, *, sign: float = 1
     """
     current = np.linspace(0.0, i_max, points)
     angle = best_angle(lambda i, a: sign * model.torque(i * np.cos(a), i * np.sin(a)), current, sign)
-    return _trajectory(model, current, angle, _mtpa_error(model, current, angle))
+    return _trajectory(model, current, angle, combined(mtpa_angle_changes(model, current, angle)))
 
 
 def mtpv(model: MachineModel, i_max: float, points: int = 41) -> CurrentLocus:
@@ -168,17 +169,40 @@ def _mtpv_angle(model: MachineModel, current: FloatArray) -> FloatArray:
     share = np.linspace(0.0, 1.0, _ANGLES)
     angles = start[:, None] + (direction * reach)[:, None] * share
     values = cross(current[:, None], angles)
-    turned = values * np.sign(values[:, :1]) < 0
+    before = np.sign(values[:, :1])
+    turned = (values[:, :-1] * before > 0) & (values[:, 1:] * before <= 0)  # from a rise of the torque to a fall
     turned[:, -1] &= np.abs(np.sin(angles[:, -1])) > 0  # on the d axis itself there is no torque
-    first = turned.argmax(axis=1)
-    exists = turned.any(axis=1)
-    rows = np.arange(len(current))
-    low, high = angles[rows, np.maximum(first - 1, 0)], angles[rows, first]
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        before = cross(current, middle) * np.sign(values[:, 0]) >= 0
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
-    return np.where(exists, 0.5 * (low + high), np.nan)
+    most, best, kept = _torque_by_flux(model, float(current[-1])), np.full(len(current), np.nan), np.zeros(len(current))
+    for _ in range(int(turned.sum(axis=1).max(initial=0))):
+        first, rows = turned.argmax(axis=1), np.flatnonzero(turned.any(axis=1))
+        low, high = angles[rows, first[rows]], angles[rows, first[rows] + 1]
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (low + high)
+            rising = cross(current[rows], middle) * before[rows, 0] >= 0
+            low, high = np.where(rising, middle, low), np.where(rising, high, middle)
+        i_d, i_q = current[rows] * np.cos(low), current[rows] * np.sin(low)
+        share = model.torque(i_d, i_q) / most(np.hypot(*model.psi_dq(i_d, i_q)))
+        better = share > np.maximum(kept[rows], 1 - _LOST)
+        best[rows[better]], kept[rows[better]] = low[better], share[better]
+        turned[rows, first[rows]] = False
+    return best
+
+
+def _torque_by_flux(model: MachineModel, i_max: float) -> Callable[[FloatArray], FloatArray]:
+    """Return a function of flux amplitudes, Wb: the largest torque, Nm, up to them on a grid of currents."""
+    size, angle = np.meshgrid(np.linspace(0.0, i_max, _CIRCLES), np.linspace(0.0, np.pi, _ANGLES))
+    i_d, i_q = size * np.cos(angle), size * np.sin(angle)
+    known = model.inside(i_d, i_q)
+    flux, torque = np.hypot(*model.psi_dq(i_d, i_q))[known], model.torque(i_d, i_q)[known]
+    order = np.argsort(flux)
+    flux, torque = flux[order], np.maximum.accumulate(torque[order])
+    least = float(np.finfo(np.float64).tiny)
+
+    def most(limit: FloatArray) -> FloatArray:
+        at = np.searchsorted(flux, limit, side="right") - 1
+        return np.where(at >= 0, np.maximum(torque[np.maximum(at, 0)], least), least)
+
+    return most
 
 
 def _trajectory(model: MachineModel, current: FloatArray, angle: FloatArray, sigma_angle: FloatArray) -> CurrentLocus:
@@ -198,15 +222,18 @@ def _trajectory(model: MachineModel, current: FloatArray, angle: FloatArray, sig
     )
 
 
-def _mtpa_error(model: MachineModel, current: FloatArray, angle: FloatArray) -> FloatArray:
-    """Return the standard error (N,) of the angle where the torque's slope along the circle vanishes, rad."""
+def mtpa_angle_changes(model: MachineModel, current: FloatArray, angle: FloatArray) -> FloatArray:
+    """Return the changes (M, N), rad, of the angle where the torque's slope along the circle vanishes, by each cause.
+
+    NaN (1, N) where the errors of slopes are not known.
+    """
     if model.errors is None or not model.errors.joint:
-        return np.full(len(angle), np.nan)
+        return np.full((1, len(angle)), np.nan)
     at = [(current * np.cos(a), current * np.sin(a)) for a in (angle - _ANGLE_STEP, angle, angle + _ANGLE_STEP)]
     torque = [model.torque(*point) for point in at]
     curvature = (torque[0] - 2 * torque[1] + torque[2]) / _ANGLE_STEP**2
     slopes = (model.torque_changes(*at[2]) - model.torque_changes(*at[0])) / (2 * _ANGLE_STEP)
-    return np.asarray(combined(slopes) / np.where(curvature < 0, -curvature, np.nan))
+    return np.asarray(slopes / np.where(curvature < 0, -curvature, np.nan))
 
 
 def _mtpv_error(model: MachineModel, current: FloatArray, angle: FloatArray) -> FloatArray:

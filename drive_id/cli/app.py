@@ -356,6 +356,7 @@ def info(
 
 
 def _print_result(path: Path, *, as_json: bool, quiet: bool, verbose: bool) -> None:
+    from drive_id.analysis.machine import folded
     from drive_id.files.results.identification import results_tree
     from drive_id.fitting.result import load
 
@@ -364,6 +365,7 @@ def _print_result(path: Path, *, as_json: bool, quiet: bool, verbose: bool) -> N
         console.print_json({"path": str(path)} | results_tree(result.drive, result.provenance))
     elif not quiet:
         console.show_result(result, verbose=verbose)
+        console.warn(*filter(None, [folded(result)]))
 
 
 def _print_information(path: Path, *, as_json: bool, quiet: bool) -> None:

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from exact_results import exact_result
 from machine_kinds import KINDS, mean_torque
+from scipy.optimize import root
 
 import drive_id
 from drive_id.analysis.field_weakening import DriveLimits, envelope, sigma_envelope
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.trajectories import characteristic_current, mtpa, mtpv
+from drive_id.core.full.calibration import Calibration
 from drive_id.core.maps.error_modes import ErrorModes
+from drive_id.messages import Message
 from drive_id.types import MachineMap
 
 MACHINE = KINDS["surface magnets"]
@@ -55,10 +58,14 @@ def shifted(result, k, sign):
     )
 
 
+def both_shifted(result):
+    """Return pairs of results, with each cause of error up and down."""
+    return [tuple(shifted(result, k, sign) for sign in (1, -1)) for k in range(len(result.drive.error_modes))]
+
+
 def both_ways(result):
-    """Return pairs of models, with each cause of error up and down."""
-    count = len(result.drive.error_modes)
-    return [tuple(MachineModel.of(shifted(result, k, sign)) for sign in (1, -1)) for k in range(count)]
+    """Return pairs of models likewise."""
+    return [tuple(map(MachineModel.of, pair)) for pair in both_shifted(result)]
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +91,6 @@ def test_bands_of_the_map(erring, pairs):
     same(model.sigma_inductances(i_d, i_q), pairs, lambda other: other.inductances(i_d, i_q))
 
 
-@pytest.mark.accuracy
 def test_the_band_of_the_saliency_knows_that_both_inductances_err_together(erring, pairs):
     small = drive_id.AnalysisSettings(current_points=3, torque_points=1, speed_points=3)
     figure = drive_id.analyze(erring, small).figures["saliency"]
@@ -115,6 +121,36 @@ def test_bands_of_operating_points(erring, pairs):
     )
 
 
+LOSSES = {"iron_loss_conductance": (2e-3, 1e-4), "iron_loss_hysteresis": (0.5, 0.05), "iron_loss_current": (0.01, 0.02)}
+
+
+def with_losses(result, changed=None, sign=0.0):
+    """Return the result with an iron loss of three parts, one of them changed by its standard error."""
+    message = Message("analysis_iron_loss")
+    parts = {name: (value + sign * sigma * (name == changed), sigma) for name, (value, sigma) in LOSSES.items()}
+    found = tuple(Calibration(name, *part, "", True, message) for name, part in parts.items())
+    return replace(result, drive=replace(result.drive, calibrations=found))
+
+
+def test_each_part_of_the_iron_loss_errs_by_its_own_standard_error(erring):
+    """At the stator currents of the table; the small part, of which twice its size is uncertain, must not scale all."""
+    models = [tuple(map(MachineModel.of, map(with_losses, pair))) for pair in both_shifted(erring)]
+    models += [tuple(MachineModel.of(with_losses(erring, name, sign)) for sign in (1, -1)) for name in LOSSES]
+    model = MachineModel.of(with_losses(erring))
+    i_dq, speed = np.array([[-3.0, 12.0], [-10.0, -6.0], [0.0, 3.0]]), np.array([200.0, 500.0, 800.0])
+    points = Operation.at(model, i_dq, speed)
+
+    def at_stator(other, name):
+        def away(flat):
+            return (Operation.at(other, flat.reshape(-1, 2), speed).stator - points.stator).ravel()
+
+        return getattr(Operation.at(other, root(away, i_dq.ravel()).x.reshape(-1, 2), speed), name)
+
+    errors = OperationErrors.of(model, points)
+    for name in ("torque", "voltage", "losses", "efficiency"):
+        same(getattr(errors, name), models, lambda other, name=name: at_stator(other, name))
+
+
 def test_bands_of_optima_are_those_of_optima_found_anew(erring, pairs):
     model = MachineModel.of(erring)
     found, speed = mtpa(model, 18.0, 3), np.array([0.0, 650.0, 900.0])
@@ -128,7 +164,6 @@ def test_bands_of_optima_are_those_of_optima_found_anew(erring, pairs):
     same(sigma_envelope(model, LIMITS, points), pairs, lambda other: envelope(other, LIMITS, speed).torque)
 
 
-@pytest.mark.accuracy
 def test_bands_of_mtpv_and_of_the_characteristic_current():
     result = with_modes(exact_result(KINDS["reluctance with magnets"].to_map()), 5e-5)
     model, pairs = MachineModel.of(result), both_ways(result)
@@ -159,7 +194,6 @@ def test_without_correlations_torque_bands_are_wide_and_slopes_have_none():
     assert np.isnan(OperationErrors.of(unknown, points).voltage).all()
 
 
-@pytest.mark.accuracy
 def test_bands_of_a_fit_hold_the_truth(simulation):
     fitted = drive_id.fit(simulation.samples)
     truth = simulation.truth

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.analysis.machine import IronLoss
+from drive_id.analysis.iron_loss import IronLoss
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.calibration import corrected
@@ -35,6 +35,8 @@ _BLOCK = 0.05  # duration of the blocks whose scatter gives the standard errors,
 _MOST_BLOCKS = 400  # of a recording: longer ones get longer blocks
 _WARM = 0.05  # standard deviation expected of R, relative, where no temperature is recorded: that of 13 K
 _LINK = 0.05  # the same of the drop, which follows the DC link
+_NO_MAGNET = 0.02  # flux at zero current by the largest, below which its change is not judged
+_RESOLVED = 0.5  # standard error by the limit, above which a figure is not judged
 _FLUX = 0.3  # of the map's error, relative to the largest flux: bounds what standstill leaves open
 
 
@@ -49,21 +51,34 @@ class VerificationLimits(Checked):
         5.0, "largest difference of a flux in any cell", unit="standard errors", minimum=0.0
     )
     flux: float | None = setting(None, "largest difference of a flux in any cell", unit="% of the largest", minimum=0.0)
+    negligible: float = setting(
+        0.05,
+        "difference of the fluxes that passes in any number of standard errors",
+        unit="% of the largest",
+        minimum=0.0,
+    )
+    magnet: float | None = setting(None, "largest difference of the magnet's flux", unit="%", minimum=0.0)
     resistance: float | None = setting(None, "largest difference of the resistance", unit="%", minimum=0.0)
     drop: float | None = setting(None, "largest difference of the inverter's drop", unit="%", minimum=0.0)
     torque: float | None = setting(None, "largest difference of the measured torque", unit="%", minimum=0.0)
     coverage: float = setting(20.0, "least share of the map's disc that is recorded", unit="%", minimum=0.0)
 
 
+_NO_ZERO = "no current near zero was recorded, or there is no magnet"
+GOLDEN = VerificationLimits(rms_in_sigma=None, worst_in_sigma=None, magnet=3.0, resistance=5.0)
+"""Limits at the end of a line, where the map is that of a golden sample: a magnet 27 K or copper 13 K warmer."""
+
+
 @dataclass(frozen=True)
 class Judgement:
-    """One figure against its limit; ``passed`` is None where there is no limit."""
+    """One figure against its limit; ``passed`` is None where there is no limit, or it was not measured."""
 
     name: str
     value: float
     limit: float | None
     unit: str
     passed: bool | None
+    reason: str = ""  # why it is not judged although there is a limit, or passed beyond it
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +91,8 @@ class Verification:
     windows: IntArray  # (K,), ends of windows in each cell
     largest: float  # largest flux of the map, Wb
     coverage: float  # share of the map's disc that is recorded
-    resistance: tuple[float, float]  # change relative to the result, with standard error
+    magnet: tuple[float, float]  # change of psi_d at zero current relative to the result, with standard error; or NaN
+    resistance: tuple[float, float]  # likewise
     drop: tuple[float, float]  # likewise
     torque: TorqueFit | None  # the measured torque against that of the map; None where it was not recorded
 
@@ -87,26 +103,48 @@ class Verification:
 
     def judged(self, limits: VerificationLimits) -> tuple[Judgement, ...]:
         """Compare all figures with limits."""
-        rms = float(np.sqrt(np.mean(self.in_sigma**2)))
-        worst = float(np.abs(self.in_sigma).max())
-        flux = 100 * float(np.abs(self.difference).max()) / self.largest
-        figures = [
-            ("Flux, rms of all cells", rms, limits.rms_in_sigma, "standard errors"),
-            ("Flux, worst cell", worst, limits.worst_in_sigma, "standard errors"),
-            ("Flux, largest difference", flux, limits.flux, "% of the largest flux"),
-            ("Resistance", 100 * abs(self.resistance[0]), limits.resistance, "%"),
-            ("Inverter drop", 100 * abs(self.drop[0]), limits.drop, "%"),
-        ]
-        if self.torque is not None:
-            figures.append(("Torque", 100 * abs(self.torque.gain - 1.0), limits.torque, "%"))
-        elif limits.torque is not None:  # NaN does not pass
-            unit = "% (no torque was recorded, or the pole pairs are unknown)"
-            figures.append(("Torque", np.nan, limits.torque, unit))
-        covered = 100 * self.coverage
+        sizes, percent = np.abs(self.difference), 100 / self.largest
+        rms = float(np.sqrt(np.mean(self.in_sigma**2))), percent * float(np.sqrt(np.mean(sizes**2)))
+        beyond = sizes[np.abs(self.in_sigma) > (limits.worst_in_sigma or 0.0)]
+        worst = float(np.abs(self.in_sigma).max()), percent * float(beyond.max(initial=0.0))
+        in_sigma = (
+            _in_sigma("Flux, rms of all cells", *rms, limits.rms_in_sigma, limits.negligible),
+            _in_sigma("Flux, worst cell", *worst, limits.worst_in_sigma, limits.negligible),
+        )
+        flux, covered = percent * float(sizes.max()), 100 * self.coverage
+        unmeasured = "no torque was recorded, or the pole pairs are unknown"
+        torque = (np.nan, np.nan) if self.torque is None else (self.torque.gain - 1.0, 0.0)
         return (
-            *(Judgement(*of, passed=None if of[2] is None else of[1] <= of[2]) for of in figures),
+            *in_sigma,
+            _measured("Flux, largest difference", (flux / 100, 0.0), limits.flux, "% of the largest flux"),
+            _measured("Magnet flux", self.magnet, limits.magnet, "%", _NO_ZERO),
+            _measured("Resistance", self.resistance, limits.resistance, "%"),
+            _measured("Inverter drop", self.drop, limits.drop, "%"),
+            _measured("Torque", torque, limits.torque, "%", unmeasured),
             Judgement("Disc recorded, at least", covered, limits.coverage, "%", covered >= limits.coverage),
         )
+
+
+def _in_sigma(name: str, value: float, percent: float, limit: float | None, negligible: float) -> Judgement:
+    """Judge a difference of ``percent`` of the largest flux in standard errors."""
+    unit = "standard errors"
+    if limit is None or value <= limit or percent > negligible:
+        return Judgement(name, value, limit, unit, None if limit is None else value <= limit)
+    return Judgement(name, value, limit, unit, passed=True, reason=f"only {percent:.2g} % of the largest flux")
+
+
+def _measured(
+    name: str, change: tuple[float, float], limit: float | None, unit: str, missing: str = "it was not recorded"
+) -> Judgement:
+    """Judge a relative change with its standard error: not where that is too large for the limit."""
+    value, sigma = 100 * abs(change[0]), 100 * change[1]
+    if limit is None:
+        return Judgement(name, value, limit, unit, None)
+    if not np.isfinite(value):
+        return Judgement(name, value, limit, unit, None, missing)
+    if sigma > _RESOLVED * limit and value <= limit + sigma / _RESOLVED:
+        return Judgement(name, value, limit, unit, None, f"its standard error is {sigma:.2g} %")
+    return Judgement(name, value, limit, unit, value <= limit)
 
 
 def verify(result: Result, samples: Samples) -> Verification:
@@ -151,17 +189,32 @@ def verify(result: Result, samples: Samples) -> Verification:
     torque = None
     if samples.shaft_torque is not None and result.pole_pairs is not None:
         torque = fit_torque(found, [known], result.pole_pairs)
+    difference, sigma = value[:-2].reshape(-1, 2), np.hypot(own[:-2].reshape(-1, 2), sigmas)
     return Verification(
         i_dq=i_dq,
-        difference=value[:-2].reshape(-1, 2),
-        sigma=np.hypot(own[:-2].reshape(-1, 2), sigmas),
+        difference=difference,
+        sigma=sigma,
         windows=counts,
         largest=largest,
         coverage=min(1.0, len(counts) / int((np.hypot(centre[:, None], centre) <= 1).sum())),
+        magnet=_magnet(result, i_dq, difference[:, 0], sigma[:, 0]),
         resistance=(float(value[-2]), float(own[-2])),
         drop=(float(value[-1]), float(own[-1])),
         torque=torque,
     )
+
+
+def _magnet(result: Result, i_dq: FloatArray, difference: FloatArray, sigma: FloatArray) -> tuple[float, float]:
+    """Return the mean change of psi_d in the cells next to zero current over the magnet's flux, with standard error.
+
+    NaN without such a cell, or where the magnet gives hardly any flux.
+    """
+    found, near = result.flux_map, np.abs(i_dq).max(axis=1) < 2 * result.i_max / _ACROSS
+    magnet = float(found.psi_dq(0.0, 0.0)[0])
+    if not near.any() or not abs(magnet) > _NO_MAGNET * float(np.hypot(found.psi_d, found.psi_q)[found.inside].max()):
+        return np.nan, np.nan
+    weight = 1 / sigma[near] ** 2
+    return float(weight @ difference[near] / weight.sum() / magnet), float(1 / np.sqrt(weight.sum()) / abs(magnet))
 
 
 def _cells(result: Result, windows: Windows) -> tuple[Windows, ComplexArray, IntArray, IntArray]:

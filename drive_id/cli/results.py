@@ -152,7 +152,7 @@ def verify_result(
     quiet: options.QuietFlag = False,
 ) -> None:
     """Judge a map by a recording that it was not fitted to, or a machine by a golden map. Exit code 3: not passed."""
-    from drive_id.analysis.verification import VerificationLimits, verify
+    from drive_id.analysis.verification import GOLDEN, VerificationLimits, verify
     from drive_id.files.messages.signals_file import read_signals
     from drive_id.files.read.several import read_recording
     from drive_id.files.results.folder import replace_file
@@ -163,7 +163,7 @@ def verify_result(
 
     if output is not None:
         check_report_output(output)
-    base = VerificationLimits() if golden is None else VerificationLimits(rms_in_sigma=None, worst_in_sigma=None)
+    base = VerificationLimits() if golden is None else GOLDEN
     limits = options.merged_settings(VerificationLimits, golden, settings, {}, base)
     result = load(directory)
     with console.working(quiet or as_json, "Reading") as tell:

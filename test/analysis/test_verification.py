@@ -10,12 +10,13 @@ import pytest
 from typer.testing import CliRunner
 
 import drive_id
-from drive_id.analysis.verification import VerificationLimits, verify
+from drive_id.analysis.verification import GOLDEN, VerificationLimits, verify
 from drive_id.bench.settings import SimulationSettings
 from drive_id.cli.app import app
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.errors import CoverageError
 from drive_id.files.write.writer import write_recording
+from drive_id.reporting.page.certificate import verdict
 
 LIMITS = VerificationLimits()
 
@@ -42,7 +43,6 @@ def with_map(result, psi_d):
     return replace(result, drive=replace(result.drive, flux_map=flux_map, model=None))
 
 
-@pytest.mark.accuracy
 def test_a_right_map_passes(result, other):
     found = verify(result, other)
     assert all(entry.passed is not False for entry in found.judged(LIMITS))
@@ -94,5 +94,28 @@ def test_command(result, other, tmp_path):
     assert (failed.exit_code, tree["passed"]) == (3, False)
     assert {entry["name"]: entry["passed"] for entry in tree["figures"]} == {
         "Flux, rms of all cells": None, "Flux, worst cell": None, "Flux, largest difference": False,
-        "Resistance": None, "Inverter drop": None, "Torque": True, "Disc recorded, at least": True,
+        "Magnet flux": True, "Resistance": True, "Inverter drop": None, "Torque": True, "Disc recorded, at least": True,
     }  # fmt: skip
+
+
+def test_golden_limits_see_a_weak_magnet_and_do_not_judge_what_was_not_recorded(result, other):
+    m, silent = result.flux_map, replace(other, shaft_torque=None)
+    magnet = float(m.psi_dq(0.0, 0.0)[0])
+    weak = verify(with_map(result, m.psi_d + 0.08 / 0.92 * magnet), silent)
+    assert weak.magnet[0] == pytest.approx(-0.08, abs=0.005)
+    assert figures(weak, GOLDEN)["Magnet flux"].passed is False
+    limits = replace(GOLDEN, torque=3.0)
+    good = verify(result, silent).judged(limits)
+    assert {entry.passed for entry in good} == {True, None}
+    assert verdict(good) == (
+        "Passed: all figures that were measured are within their limits. Not judged: torque (no torque was recorded, "
+        "or the pole pairs are unknown)."
+    )
+
+
+def test_a_difference_that_no_control_notices_passes_in_any_number_of_standard_errors(result, other):
+    found = verify(result, other)
+    small = replace(found, sigma=found.sigma / 3)
+    assert figures(small)["Flux, rms of all cells"].value > 1.5
+    assert figures(small)["Flux, rms of all cells"].passed
+    assert figures(small, replace(LIMITS, negligible=0.0))["Flux, rms of all cells"].passed is False

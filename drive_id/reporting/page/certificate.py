@@ -26,16 +26,22 @@ _METHOD = (
 
 
 def verdict(judged: Sequence[Judgement]) -> str:
-    """Return the verdict in a sentence."""
+    """Return the verdict in a sentence or two."""
     failed = [entry.name.lower() for entry in judged if entry.passed is False]
-    return f"Not passed: {'; '.join(failed)}." if failed else "Passed: all figures are within their limits."
+    unknown = [f"{x.name.lower()} ({x.reason})" for x in judged if x.passed is None and x.limit is not None]
+    if failed:
+        said = f"Not passed: {'; '.join(failed)}."
+    else:
+        said = f"Passed: all figures{' that were measured' if unknown else ''} are within their limits."
+    return f"{said} Not judged: {'; '.join(unknown)}." if unknown else said
 
 
 def row(entry: Judgement) -> tuple[str, str, str, str]:
     """Return name, value, limit and verdict of a figure as texts."""
     word = {True: "passed", False: "NOT PASSED", None: "not judged"}[entry.passed]
-    value = f"{entry.value:.3g} {entry.unit}" if np.isfinite(entry.value) else f"unknown {entry.unit}"
-    return entry.name, value, "" if entry.limit is None else f"{entry.limit:g}", word
+    value = f"{entry.value:.3g} {entry.unit}" if np.isfinite(entry.value) else "unknown"
+    because = f": {entry.reason}" if entry.reason else ""
+    return entry.name, value, "" if entry.limit is None else f"{entry.limit:g}", f"{word}{because}"
 
 
 def certificate(result: Result, found: Verification, judged: Sequence[Judgement], recordings: Sequence[str]) -> str:
@@ -45,6 +51,7 @@ def certificate(result: Result, found: Verification, judged: Sequence[Judgement]
         "Map": f"method {result.method}, {result.date[:16].replace('T', ' ')} UTC" if result.date else result.method,
         "Recording": "; ".join(recordings),
         "Cells with data": f"{len(found.i_dq)}, {100 * found.coverage:.0f} % of the disc of {result.i_max:.4g} A",
+        "Change of the magnet's flux": measured(100 * found.magnet[0], 100 * found.magnet[1], "%"),
         "Change of the resistance": measured(100 * found.resistance[0], 100 * found.resistance[1], "%"),
         "Change of the inverter's drop": measured(100 * found.drop[0], 100 * found.drop[1], "%"),
     }

@@ -152,8 +152,8 @@ def test_syre_motor_model():
     ripple = 3e-3 * 10.5 / 18 * np.cos(6 * np.radians(over.th))
     np.testing.assert_allclose(over.data.Fd[N, M], flux(-5.0, 10.5)[0] + ripple, atol=1e-8)
     inverse = model.FluxMapInv_dq
-    known = np.isfinite(inverse.Id)
-    assert known.any()
+    known = (np.abs(inverse.Id + 2.5) < 17.5) & (np.abs(inverse.Iq) < 18.0)  # within the data
+    assert known.mean() > 0.3
     back = flux(inverse.Id[known], inverse.Iq[known])
     np.testing.assert_allclose(back, (inverse.Fd[known], inverse.Fq[known]), atol=5e-4)  # a spline between grid points
 
@@ -210,14 +210,13 @@ def test_motor_control():
 
 def test_powertrain():
     file = mat("powertrain")
-    known = np.isfinite(file["id"])
+    known = DRIVE.flux_map.inside.all() & (np.abs(file["id"] + 2.5) < 17.5) & (np.abs(file["iq"]) < 18.0)
     psi_d, psi_q = np.meshgrid(file["flux_d"], file["flux_q"], indexing="ij")
+    assert np.isfinite(file["id"]).all()
     assert known.mean() > 0.3
     back = flux(file["id"][known], file["iq"][known])
     np.testing.assert_allclose(back, (psi_d[known], psi_q[known]), atol=5e-4)  # a spline between grid points
     assert (file["P"], file["Rs"]) == (PAIRS, RESISTANCE)
-    filled = mat("powertrain", replace(CHOICE, filled=True))
-    assert np.isfinite(filled["id"]).all()
     control = mat("powertrain-controller")
     assert control["id_ref"].shape == (len(control["wbp"]), len(control["tbp"]))
     np.testing.assert_allclose(control["lambda_q"][N, M], flux(-5.0, 10.5)[1], atol=1e-9)
@@ -270,7 +269,17 @@ def test_small_controllers():
     least = (mean - np.hypot(half, (l_dq + l_qd) / 2)).min()  # of all directions, at all currents
     assert vesc["foc_current_kp"] == pytest.approx(500 * least, rel=0.03)
     odrive = json.loads(content("odrive"))
-    assert odrive["axis0.config.motor.phase_inductance"] == pytest.approx(least, rel=0.03)
+    motor = {name.removeprefix("axis0.config.motor."): value for name, value in odrive.items()}
+    bandwidth = motor["current_control_bandwidth"]
+    assert bandwidth * motor["phase_inductance"] == pytest.approx(CHOICE.rate * least, rel=0.03)
+    most = (mean + np.hypot(half, (l_dq + l_qd) / 2)).max()
+    for kp, ki in (
+        (vesc["foc_current_kp"], vesc["foc_current_ki"]),
+        (bandwidth * motor["phase_inductance"], bandwidth * RESISTANCE),
+    ):
+        assert ki <= kp / least * RESISTANCE * 1.05
+        for inductance in (least, most):  # damping of s^2 L + s (R + kp) + ki
+            assert (RESISTANCE + kp) / (2 * np.sqrt(ki * inductance)) > 0.7
     assert odrive["axis0.config.motor.torque_constant"] == pytest.approx(1.5 * PAIRS * 0.1)
     assert odrive["axis0.config.motor.motor_model_l_q"] == pytest.approx(l_q, rel=1e-2)
 
@@ -312,6 +321,8 @@ def on_disc():
 MARKED = {  # where each format of tables keeps psi_d
     "csv": lambda: import_rows()["psi_d"],
     "motulator": lambda: npz("motulator", drive=on_disc())["psi_s_dq"].real,
+}
+FILLED = {  # the same for tools that refuse NaN
     "syre": lambda: mat("syre", drive=on_disc())["Fd"].T,
     "simscape": lambda: mat("simscape", SYMMETRIC, on_disc())["fluxD_dq0"][..., 0],
     "motor-control": lambda: mat("motor-control", drive=on_disc())["pmsm"].PMSMLUT.FluxDTable,
@@ -327,10 +338,14 @@ def import_rows():
 @pytest.mark.parametrize("name", MARKED)
 def test_points_without_data_are_marked(name):
     psi_d = MARKED[name]()
-    i_d = SYMMETRIC.i_d if name == "simscape" else AXIS_D
-    corner, inner = (psi_d.reshape(len(i_d), len(AXIS_Q))[place] for place in ((0, 0), (N, M - 3)))
+    corner, inner = (psi_d.reshape(len(AXIS_D), len(AXIS_Q))[place] for place in ((0, 0), (N, M - 3)))
     assert np.isnan(corner)
     assert np.isfinite(inner)
+
+
+@pytest.mark.parametrize("name", FILLED)
+def test_tools_that_refuse_nan_get_none(name):
+    assert np.isfinite(FILLED[name]()).all()
 
 
 def test_every_format_marks_or_refuses_gaps_and_fills_them_on_demand():
@@ -345,8 +360,8 @@ def test_every_format_marks_or_refuses_gaps_and_fills_them_on_demand():
         else:
             _, exported = content_of(drive, name, choice)
             assert exported.missing > 0
-            told = {"gradnet-data": "left out"} | dict.fromkeys(("c-header", "fmu", "fmu-2"), "a continuation")
-            assert told.get(name, "marked as NaN") in exported.warnings[0]
+            told = {"gradnet-data": "left out"} | dict.fromkeys(("csv", "netcdf", "motulator"), "marked as NaN")
+            assert told.get(name, "a continuation") in exported.warnings[0]
         _, exported = content_of(drive, name, replace(choice, filled=True))
         assert "continuation" in exported.warnings[0]
 
@@ -421,14 +436,11 @@ def gapped(radius=14.0):
     return replace(DRIVE, drive=replace(DRIVE.drive, flux_map=replace(m, inside=inside)))
 
 
-def test_an_inverse_table_with_gaps_is_told():
-    """Simulink refuses NaN in a table; more of them than of the map itself."""
+def test_an_inverse_table_has_no_gaps():
+    """Simulink refuses NaN in a table."""
     text, exported = content_of(gapped(), "powertrain", CHOICE)
-    missing = int(np.isnan(loadmat(io.BytesIO(text))["id"]).sum())
-    assert missing > 0
-    assert any(f"{missing} of 273 currents of the inverse table are NaN" in sentence for sentence in exported.warnings)
-    narrow = ExportOptions(np.arange(-4.0, 4.1, 1.0), np.arange(-4.0, 4.1, 1.0))
-    assert not any("inverse" in sentence for sentence in content_of(DRIVE, "powertrain", narrow)[1].warnings)
+    assert np.isfinite(loadmat(io.BytesIO(text))["id"]).all()
+    assert "they hold a continuation of the map" in exported.warnings[0]
 
 
 @pytest.mark.parametrize("name", ["csv", "netcdf", "c-header", "vesc"])
@@ -490,7 +502,10 @@ def test_no_gain_is_negative():
     odrive = json.loads(content("odrive", drive=drive))
     assert min(odrive[f"axis0.config.motor.{name}"] for name in ("phase_inductance", "motor_model_l_d")) > 0
     assert mat("motor-control", drive=drive)["pmsm"].Ld > 0
-    assert any("not monotone everywhere" in said for said in content_of(drive, "csv", CHOICE)[1].warnings)
+    for name in ("csv", "plecs", "simscape-2d"):
+        assert any("not monotone everywhere" in said for said in content_of(drive, name, CHOICE)[1].warnings)
+    assert mat("plecs", drive=drive)["Ldd"].min() > 0
+    assert mat("simscape-2d", drive=drive)["LdMatrix"].min() > 0
 
 
 @pytest.mark.parametrize(

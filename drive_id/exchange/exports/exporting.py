@@ -7,15 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from drive_id.analysis.machine import definite
 from drive_id.errors import CoverageError, OutputError
-from drive_id.exchange.exports.formats import ExportFormat, export_format
+from drive_id.exchange.exports.formats import export_format
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
-from drive_id.exchange.exports.writers import c_header, matlab
 from drive_id.files.results.folder import check_absent, replace_file
 from drive_id.result.result import Result
-
-_COARSE = 0.01  # error of bilinear interpolation, by the largest flux, above which it is told
 
 
 @dataclass(frozen=True)
@@ -47,34 +45,21 @@ def content_of(result: Result, name: str, options: ExportOptions | None = None) 
     """
     chosen, wanted = export_format(name), options or ExportOptions()
     wanted = replace(wanted, filled=wanted.filled or not chosen.gaps)
-    table = MapTable.of(result, wanted)
+    table = MapTable.of(result, wanted, simulated=chosen.simulated)
     if not chosen.grid and not table.machine.inside(0.0, 0.0):
         raise CoverageError(f"The map has no data at zero current, from which --format {name} takes its numbers.")
     content = chosen.write(table, wanted)
-    bandwidth = f"The bandwidth is {wanted.bandwidth:g} Hz."
+    told = [*table.remarks]
+    if chosen.grid and not chosen.refines:
+        told.append(table.coarse)
+    told.append(table.fold)
+    wrong = np.count_nonzero(~definite(table.inductances) & np.isfinite(table.psi[0]))
+    if wrong and chosen.grid:
+        told.append(f"At {wrong} of {table.inside.size} points the matrix of inductances is not positive definite.")
+    remarks = tuple(filter(None, told))
     if not chosen.grid:
-        return content, Exported(0, 0, filled=False, remarks=(f"{bandwidth} {table.gain_source}",))
-    remarks = (*([bandwidth] if chosen.write is c_header.write else []), *_remarks(table, chosen))
+        return content, Exported(0, 0, filled=False, remarks=remarks)
     return content, Exported(table.inside.size, table.missing, wanted.filled, chosen.gaps, remarks)
-
-
-def _remarks(table: MapTable, chosen: ExportFormat) -> tuple[str, ...]:
-    out = []
-    if table.interpolation_error > _COARSE * float(np.nanmax(np.hypot(*table.psi))):
-        out.append(f"The table is coarse: choose a larger --grid, or read it with splines. {table.source}")
-    if not table.machine.monotone_inside:
-        out.append(
-            "The map is not monotone everywhere within the data: inductances and gains of single numbers are those of "
-            "the nearest monotone map, and the tables hold the map itself; set monotone in the fit for a monotone one."
-        )
-    if chosen.write is matlab.write_powertrain:
-        missing = int(np.isnan(matlab.inverse_maps(table)[2]).sum())
-        if missing:
-            out.append(
-                f"{missing} of {table.inside.size} currents of the inverse table are NaN, for no data reach these "
-                "fluxes, and Simulink refuses NaN: choose a smaller --range, or --fill them with a continuation."
-            )
-    return tuple(out)
 
 
 def export_map(

@@ -17,6 +17,9 @@ Writer = Callable[[MapTable, ExportOptions], bytes]
 """Returns the content of a file; raises ConfigurationError when the format cannot hold the table."""
 
 
+_NAN = "they are marked as NaN"
+
+
 @dataclass(frozen=True)
 class ExportFormat:
     """A format of exported files."""
@@ -25,31 +28,37 @@ class ExportFormat:
     suffix: str  # usual end of the file's name
     write: Writer
     grid: bool = True  # it holds tables over the current plane, not a few numbers
-    gaps: str = "they are marked as NaN"  # what becomes of points without data; empty: they hold a continuation
+    gaps: str = _NAN  # what becomes of points without data; empty: they hold a continuation
+    refines: bool = False  # it refines the table where it needs to
+    simulated: bool = True  # it holds the nearest monotone map where the map itself folds: solvers fail on folds
 
 
 EXPORTS: Mapping[str, ExportFormat] = {
-    "csv": ExportFormat("text with one row for each point", ".csv", text.write_csv),
-    "netcdf": ExportFormat("netCDF 3, for xarray", ".nc", netcdf.write),
+    "csv": ExportFormat("text with one row for each point", ".csv", text.write_csv, simulated=False),
+    "netcdf": ExportFormat("netCDF 3, for xarray", ".nc", netcdf.write, simulated=False),
     "machine": ExportFormat("machine file of drive_id", ".npz", npz.write_machine),
     "motulator": ExportFormat("flux map of motulator", ".npz", npz.write_motulator),
     "gradnet-data": ExportFormat(
-        "training data of motulator-gradnet", ".npz", npz.write_gradnet_data, gaps="they are left out"
+        "training data of motulator-gradnet", ".npz", npz.write_gradnet_data, gaps="they are left out", simulated=False
     ),
-    "syre": ExportFormat("SyR-e flux file fdfq_idiq_n256.mat", ".mat", matlab.write_syre),
-    "syre-model": ExportFormat("SyR-e motor model (MMM)", ".mat", matlab.write_syre_model),
-    "simscape": ExportFormat("Simscape FEM-Parameterized PMSM, 3-D flux linkages", ".mat", matlab.write_simscape),
-    "simscape-2d": ExportFormat("Simscape PMSM with tabulated inductances", ".mat", matlab.write_simscape_2d),
-    "motor-control": ExportFormat("Motor Control Blockset", ".mat", matlab.write_motor_control),
-    "powertrain": ExportFormat("Powertrain Blockset flux-based PMSM", ".mat", matlab.write_powertrain),
+    "syre": ExportFormat("SyR-e flux file fdfq_idiq_n256.mat", ".mat", matlab.write_syre, gaps=""),
+    "syre-model": ExportFormat("SyR-e motor model (MMM)", ".mat", matlab.write_syre_model, gaps=""),
+    "simscape": ExportFormat(
+        "Simscape FEM-Parameterized PMSM, 3-D flux linkages", ".mat", matlab.write_simscape, gaps=""
+    ),
+    "simscape-2d": ExportFormat("Simscape PMSM with tabulated inductances", ".mat", matlab.write_simscape_2d, gaps=""),
+    "motor-control": ExportFormat("Motor Control Blockset", ".mat", matlab.write_motor_control, gaps=""),
+    "powertrain": ExportFormat("Powertrain Blockset flux-based PMSM", ".mat", matlab.write_powertrain, gaps=""),
     "powertrain-controller": ExportFormat(
-        "Powertrain Blockset flux-based PM controller", ".mat", matlab.write_powertrain_controller
+        "Powertrain Blockset flux-based PM controller", ".mat", matlab.write_powertrain_controller, gaps=""
     ),
-    "c-header": ExportFormat("C99 header with its reader", ".h", c_header.write, gaps=""),
-    "fmu": ExportFormat("FMU of FMI 3.0 with its C sources", ".fmu", fmu.write, gaps=""),
-    "fmu-2": ExportFormat("FMU of FMI 2.0 with its C sources", ".fmu", partial(fmu.write, version=2), gaps=""),
-    "plecs": ExportFormat("PLECS non-excited synchronous machine", ".mat", matlab.write_plecs),
-    "modelica": ExportFormat("Modelica CombiTable2D", ".txt", text.write_modelica),
+    "c-header": ExportFormat("C99 header with its reader", ".h", c_header.write, gaps="", refines=True),
+    "fmu": ExportFormat("FMU of FMI 3.0 with its C sources", ".fmu", fmu.write, gaps="", refines=True),
+    "fmu-2": ExportFormat(
+        "FMU of FMI 2.0 with its C sources", ".fmu", partial(fmu.write, version=2), gaps="", refines=True
+    ),
+    "plecs": ExportFormat("PLECS non-excited synchronous machine", ".mat", matlab.write_plecs, gaps=""),
+    "modelica": ExportFormat("Modelica CombiTable2D", ".txt", text.write_modelica, gaps=""),
     "vesc": ExportFormat("VESC motor configuration", ".xml", controllers.write_vesc, grid=False),
     "odrive": ExportFormat("ODrive configuration", ".json", controllers.write_odrive, grid=False),
 }

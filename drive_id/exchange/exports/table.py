@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -21,7 +21,9 @@ from drive_id.version import VERSION
 _PER_PERIOD = 12  # angles per period of the highest harmonic: linear interpolation is off by 3 % of it
 _LEAST_ANGLES = 4  # of a table over the angle, without harmonics too
 _NEGLIGIBLE = 0.01  # amplitude of a harmonic, by the largest flux, that may be left out
+_COARSE = 0.01  # error of bilinear interpolation, by the largest flux, above which it is told
 _MARGIN = 1.25  # reach of the harmonics, in i_max
+_BEYOND = 1.5  # reach of the map, in i_max: overshoot of a simulated current
 
 
 class AtZero(NamedTuple):
@@ -45,16 +47,43 @@ class MapTable:
     i_d: FloatArray  # (D,), A
     i_q: FloatArray  # (Q,), A
     filled: bool = False  # points without data hold the continuation of the map
+    identified: MachineModel | None = None  # where ``machine`` has the nearest monotone map instead of this one
+    remarks: list[str] = field(default_factory=list)  # sentences of the writers on what the file holds
 
     @classmethod
-    def of(cls, result: Result, options: ExportOptions) -> MapTable:
-        """Sample a result; raises CoverageError when no point of the table has data."""
+    def of(cls, result: Result, options: ExportOptions, *, simulated: bool = True) -> MapTable:
+        """Sample a result, or the nearest monotone map if it is to be simulated.
+
+        Raises CoverageError when no point of the table has data.
+        """
         i_d, i_q = (default_axis(result.i_max) if axis is None else axis for axis in (options.i_d, options.i_q))
-        machine = MachineModel.of(result, pole_pairs=options.pole_pairs, u_dc=options.u_dc)
-        table = cls(result, machine, i_d, i_q, options.filled)
+        reach = max(_BEYOND * result.i_max, *(float(np.abs(axis).max()) for axis in (i_d, i_q)))
+        machine = MachineModel.of(result, pole_pairs=options.pole_pairs, u_dc=options.u_dc, reach=reach)
+        whole = machine.rising if simulated else machine
+        table = cls(result, whole, i_d, i_q, options.filled, None if machine.monotone_inside else machine)
         if not table.inside.any():
             raise CoverageError("No point of the table has data: choose a smaller --range.")
         return table
+
+    def on(self, i_d: FloatArray, i_q: FloatArray) -> MapTable:
+        """Return the table of the same map on other axes (D,), (Q,), A."""
+        return replace(self, i_d=i_d, i_q=i_q)
+
+    @cached_property
+    def fold(self) -> str:
+        """A sentence on a map that is not monotone where there are data, and what the table holds of it; else empty."""
+        if self.identified is None:
+            return ""
+        told = self.identified.fold
+        if self.machine is self.identified:
+            return f"{told} The table holds the map as it was identified."
+        psi = np.stack([self.identified.psi_dq(*self.grid), self.machine.psi_dq(*self.grid)])
+        moved = float(np.hypot(*(psi[1] - psi[0]))[self.inside].max())
+        share = 100 * moved / float(np.hypot(*psi[0])[self.inside].max())
+        return (
+            f"{told} The file holds the nearest monotone map, whose fluxes differ by at most {moved:.2g} Wb "
+            f"({share:.2g} %) within the data."
+        )
 
     @cached_property
     def grid(self) -> tuple[FloatArray, FloatArray]:
@@ -192,6 +221,13 @@ class MapTable:
         return float(np.hypot(*apart)[self.machine.inside(d, q)].max(initial=0.0))
 
     @property
+    def coarse(self) -> str:
+        """A sentence where bilinear interpolation is far off; else empty."""
+        if self.interpolation_error <= _COARSE * float(np.nanmax(np.hypot(*self.psi))):
+            return ""
+        return f"The table is coarse: choose a larger --grid, or read it with splines. {self.source}"
+
+    @property
     def source(self) -> str:
         """Sentences on where the table is from, its units, and its error."""
         result = self.result
@@ -200,17 +236,7 @@ class MapTable:
         return (
             f"Written by drive_id {VERSION}: result{since} by method {result.method}. Units: A and V "
             f"(peak), Wb, H, ohm, Nm. Between the points, bilinear interpolation is off by at most {off:.2g} Wb "
-            f"({100 * off / largest:.2g} % of the largest flux)."
-        )
-
-    @property
-    def gain_source(self) -> str:
-        """A sentence on the one inductance from which a controller's gains follow."""
-        least, l_d, l_q = self.machine.least_inductance, self.at_zero.l_d, self.at_zero.l_q
-        how = "" if self.machine.monotone_inside else " of the nearest monotone map (the map itself is not monotone)"
-        return (
-            f"The gains rest on the smallest incremental inductance within i_max{how}, {least * 1e3:.3g} mH, so that "
-            f"no axis is faster than the bandwidth (at zero current: L_d {l_d * 1e3:.3g} mH, L_q {l_q * 1e3:.3g} mH)."
+            f"({100 * off / largest:.2g} % of the largest flux). {self.fold}".rstrip()
         )
 
     def facts(self) -> dict[str, str | float | int]:

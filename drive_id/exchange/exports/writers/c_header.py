@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from pathlib import Path
 from string import Template
 
 import numpy as np
 
+from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError
+from drive_id.exchange.exports.current_control import CurrentControl, designed
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
-from drive_id.types import FloatArray, IntArray
+from drive_id.types import BoolArray, FloatArray, IntArray
 
 _TEMPLATE = Path(__file__).with_name("flux_map.h")
 _PER_LINE = 8  # numbers of a table
 _DROP_POINTS = 129  # at most, of the table of the drop
 _DROP_ERROR = 5e-4  # largest of this table, relative to the largest drop
-_DELAY = 1.5
-"""Samples from the measured current to the mean of the voltage that answers it: one of computation, half a sample of
-the modulator."""
+_BYTES = 20  # of the mask in a line
+_WIDTH = 117  # of comments
 _PLL = 0.2
 """Bandwidth of the observer of the angle relative to that of the current controllers, which it must not follow."""
 _Q15 = 2**15 - 1  # largest number of 16 bits with a sign
@@ -32,13 +34,15 @@ def write(table: MapTable, options: ExportOptions) -> bytes:
 
     Numbers that need the resistance or the DC-link voltage are left out where it is unknown.
     """
-    return with_drop(table, options, *_thinned(table.machine.inverter_current, table.machine.inverter_voltage))
+    control = designed(table, options)
+    table.remarks.extend([*control.remarks, control.table.coarse])
+    return header(control, options, *_thinned(table.machine.inverter_current, table.machine.inverter_voltage))
 
 
-def with_drop(table: MapTable, options: ExportOptions, current: FloatArray, voltage: FloatArray) -> bytes:
-    """Write the header of :func:`write` with the inverter's drop at these phase currents, A, and voltages, V, (C,)."""
-    machine, found, inductances = table.machine, table.result, _inductances(table)
-    bandwidth, limited = _bandwidth(options)
+def header(control: CurrentControl, options: ExportOptions, current: FloatArray, voltage: FloatArray) -> bytes:
+    """Write a header with the inverter's drop at these phase currents, A, and voltages, V, (C,)."""
+    table, bandwidth = control.table, control.bandwidth
+    machine, found, inductances = table.machine, table.result, control.inductances
     slope = (found.drive.magnet_coefficient or (0.0, 0.0))[0]
     held = REFERENCE_TEMPERATURE if found.provenance.temperature is None else found.provenance.temperature
     assumed = "" if found.provenance.temperature is not None else ", assumed: no temperature was recorded"
@@ -50,8 +54,9 @@ def with_drop(table: MapTable, options: ExportOptions, current: FloatArray, volt
         "MAGNET_CELSIUS": (REFERENCE_TEMPERATURE, "degrees Celsius"),
         "POLE_PAIRS": (machine.pole_pairs, "1"),
         "I_MAX": (machine.i_max, "A, largest current amplitude"),
+        "CELL": (machine.cell, "A, largest diagonal of a cell of the map: what is known nearer than that to I_MAX"),
         "U_DC": (machine.u_dc, "V"),
-        "BANDWIDTH": (bandwidth, f"rad/s ({bandwidth / (2 * math.pi):.4g} Hz), of the current controllers; {limited}"),
+        "BANDWIDTH": (bandwidth, "rad/s, of the current controllers"),
         "KI": (bandwidth * machine.resistance, "V/(A s)"),
         "PLL_KP": (2 * _PLL * bandwidth, "1/s"),  # critically damped
         "PLL_KI": ((_PLL * bandwidth) ** 2, "1/s^2"),
@@ -61,7 +66,8 @@ def with_drop(table: MapTable, options: ExportOptions, current: FloatArray, volt
         for name, (value, unit) in constants.items()
         if value is not None and math.isfinite(value)
     ]
-    sizes = {"ND": len(table.i_d), "NQ": len(table.i_q), "NC": len(current)}
+    known_d, known_q, known = _known(machine.flux_map)
+    sizes = {"ND": len(table.i_d), "NQ": len(table.i_q), "NC": len(current), "KD": len(known_d), "KQ": len(known_q)}
     lines += [*(f"#define DRIVE_ID_{name} {size}" for name, size in sizes.items()), ""]
     lines += _array("drive_id_i_d", "[DRIVE_ID_ND]", table.i_d[None, :], "A")
     lines += _array("drive_id_i_q", "[DRIVE_ID_NQ]", table.i_q[None, :], "A")
@@ -71,12 +77,25 @@ def with_drop(table: MapTable, options: ExportOptions, current: FloatArray, volt
     maps |= {"l_dd": (inductances["d"], "H"), "l_qq": (inductances["q"], "H")}
     for name, (values, unit) in maps.items():
         lines += _array(f"drive_id_{name}_table", _SIZE, values, f"{unit}, row-major [i_d][i_q]")
-    lines += ["/* 1 where there are data */", f"static const unsigned char drive_id_inside_table{_SIZE} = {{"]
-    lines += [" " + ",".join("1" if known else "0" for known in row) + "," for row in table.inside.tolist()]
+    lines += _array("drive_id_known_d", "[DRIVE_ID_KD]", known_d[None, :], "A")
+    lines += _array("drive_id_known_q", "[DRIVE_ID_KQ]", known_q[None, :], "A")
+    bits = np.packbits(known.ravel(), bitorder="little").tolist()
+    lines += ["/* one bit for each cell of these, row-major: whether it has data */"]
+    lines += [f"static const unsigned char drive_id_known_bits[{len(bits)}] = {{"]
+    lines += [" " + ",".join(map(str, bits[k : k + _BYTES])) + "," for k in range(0, len(bits), _BYTES)]
     lines += ["};", "", *(_per_unit(table, inductances, bandwidth, options) if machine.u_dc else ())]
     template = Template(_TEMPLATE.read_text(encoding="ascii"))
-    name, source = _comment(table.result.machine or "unknown"), _comment(table.source)
+    name, texts = _comment(table.result.machine or "unknown"), (table.source, *control.remarks)
+    source = "\n * ".join(textwrap.wrap(_comment(" ".join(texts)), _WIDTH))
     return template.substitute(name=name, source=source, content="\n".join(lines)).encode("ascii")
+
+
+def _known(found: FluxMap) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return the cells (K, L) with data at all corners, and their edges (K + 1,), (L + 1,), A; equal rows are one."""
+    cells = found.inside[1:, 1:] & found.inside[1:, :-1] & found.inside[:-1, 1:] & found.inside[:-1, :-1]
+    first = [np.append(True, (np.diff(cells, axis=axis) != 0).any(axis=1 - axis)) for axis in (0, 1)]
+    i_d, i_q = (np.append(axis[:-1][own], axis[-1]) for axis, own in zip((found.i_d, found.i_q), first, strict=True))
+    return i_d, i_q, cells[np.ix_(*first)]
 
 
 def _thinned(current: FloatArray, voltage: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -89,28 +108,6 @@ def _thinned(current: FloatArray, voltage: FloatArray) -> tuple[FloatArray, Floa
             break
         kept = sorted([*kept, int(off.argmax())])
     return current[kept], voltage[kept]
-
-
-def _bandwidth(options: ExportOptions) -> tuple[float, str]:
-    """Return the bandwidth of the current controllers, rad/s, and what the delay leaves of the phase margin.
-
-    Each controller cancels the pole of its axis, ``kp = a L(i)`` and ``ki = a R``, so that the open loop is
-    ``a e^{-s T_d} / s``: its phase margin is ``pi/2 - a T_d``, whatever the current.
-    """
-    if options.sample_period is None:
-        return options.rate, "no delay is considered"
-    delay = _DELAY * options.sample_period
-    bandwidth = min(options.rate, (math.pi / 2 - math.radians(options.phase_margin)) / delay)
-    margin = math.degrees(math.pi / 2 - bandwidth * delay)
-    return bandwidth, f"leaves a phase margin of {margin:.3g} degrees at {delay:.4g} s of delay"
-
-
-def _inductances(table: MapTable) -> dict[str, FloatArray]:
-    """Return L_dd and L_qq (D, Q), H, of the nearest monotone map; without data, at least the smallest within i_max."""
-    machine = table.machine
-    found = np.diagonal(machine.control_inductances(*table.grid), axis1=-2, axis2=-1)
-    safe = np.where(table.inside[..., None], found, np.maximum(found, machine.least_inductance))
-    return {"d": safe[..., 0], "q": safe[..., 1]}
 
 
 def _per_unit(

@@ -6,7 +6,7 @@
  *
  *   drive_id_psi_d(i_d, i_q), drive_id_psi_q(i_d, i_q)                  bilinear, continuous
  *   drive_id_psi_d_bicubic(i_d, i_q), drive_id_psi_q_bicubic(i_d, i_q)  bicubic, with continuous slopes
- *   drive_id_inside(i_d, i_q)                                           1 where data surround the current
+ *   drive_id_inside(i_d, i_q)                                           1 where the map rests on data
  *   drive_id_kp_d(i_d, i_q), drive_id_kp_q(i_d, i_q), DRIVE_ID_KI       gains of the current controllers, SI
  *   drive_id_kp_d_q15, drive_id_kp_q_q15, DRIVE_ID_KI_T_Q15             the same per unit: int16 times 2^-SHIFT
  *   drive_id_feedforward(i_d, i_q, omega, r, u_dq)                      R i + omega J psi: decoupling included
@@ -28,9 +28,11 @@
 #ifdef DRIVE_ID_DOUBLE
 typedef double drive_id_real;
 #define DRIVE_ID_C(x) x
+#define drive_id_sqrt sqrt
 #else
 typedef float drive_id_real;
 #define DRIVE_ID_C(x) x##f
+#define drive_id_sqrt sqrtf
 #endif
 #define DRIVE_ID_NAN ((drive_id_real)NAN)
 
@@ -211,19 +213,36 @@ static inline drive_id_real drive_id_magnet(drive_id_real celsius)
     return DRIVE_ID_MAGNET_SLOPE * (celsius - DRIVE_ID_MAGNET_CELSIUS);
 }
 
-/* 1 within the axes where all corners of the cell have data; 0 elsewhere, and for NaN. */
-static inline int drive_id_inside(drive_id_real i_d, drive_id_real i_q)
+/* Whether the map has data at a current within the cells of its mask. */
+static inline int drive_id_known(drive_id_real i_d, drive_id_real i_q)
 {
-    int d, q, row;
-    if (!(i_d >= drive_id_i_d[0] && i_d <= drive_id_i_d[DRIVE_ID_ND - 1] && i_q >= drive_id_i_q[0] &&
-          i_q <= drive_id_i_q[DRIVE_ID_NQ - 1])) {
+    int k;
+    if (!(i_d >= drive_id_known_d[0] && i_d <= drive_id_known_d[DRIVE_ID_KD - 1] && i_q >= drive_id_known_q[0] &&
+          i_q <= drive_id_known_q[DRIVE_ID_KQ - 1])) {
         return 0;
     }
-    d = drive_id_cell(drive_id_i_d, DRIVE_ID_ND, i_d);
-    q = drive_id_cell(drive_id_i_q, DRIVE_ID_NQ, i_q);
-    row = d * DRIVE_ID_NQ + q;
-    return drive_id_inside_table[row] && drive_id_inside_table[row + 1] && drive_id_inside_table[row + DRIVE_ID_NQ] &&
-           drive_id_inside_table[row + DRIVE_ID_NQ + 1];
+    k = drive_id_cell(drive_id_known_d, DRIVE_ID_KD, i_d) * (DRIVE_ID_KQ - 1) +
+        drive_id_cell(drive_id_known_q, DRIVE_ID_KQ, i_q);
+    return drive_id_known_bits[k >> 3] >> (k & 7) & 1;
+}
+
+/*
+ * 1 within the axes where the map rests on data, as "inside" of drive-id analyze; 0 elsewhere, and for NaN. Near i_max,
+ * which an experiment just reaches, the current that is one cell nearer to zero decides.
+ */
+static inline int drive_id_inside(drive_id_real i_d, drive_id_real i_q)
+{
+    const drive_id_real size = drive_id_sqrt(i_d * i_d + i_q * i_q), most = DRIVE_ID_C(1.001) * DRIVE_ID_I_MAX;
+    const drive_id_real slack = most - DRIVE_ID_I_MAX;
+    if (!(i_d >= drive_id_i_d[0] - slack && i_d <= drive_id_i_d[DRIVE_ID_ND - 1] + slack &&
+          i_q >= drive_id_i_q[0] - slack && i_q <= drive_id_i_q[DRIVE_ID_NQ - 1] + slack)) {
+        return 0;
+    }
+    if (size > DRIVE_ID_I_MAX - DRIVE_ID_CELL && size <= most) {
+        const drive_id_real share = size > DRIVE_ID_CELL ? 1 - DRIVE_ID_CELL / size : 0;
+        return drive_id_known(share * i_d, share * i_q);
+    }
+    return drive_id_known(i_d, i_q);
 }
 
 #endif

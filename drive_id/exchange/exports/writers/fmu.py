@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import math
 import platform
 import shutil
 import subprocess
@@ -14,13 +15,20 @@ from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree as ET
 
+import numpy as np
+
 from drive_id.errors import ConfigurationError
+from drive_id.exchange.exports.current_control import CurrentControl, cubic, divided
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
 from drive_id.exchange.exports.writers import c_header
+from drive_id.types import FloatArray
 
 _FOLDER = Path(__file__).with_name("fmu")
 _STEP = 1e-5  # largest step of the solver inside, s: a fifth of what the steepest inverter curves allow
+_BEYOND = 1.5  # reach of the tables, in i_max: what overshoots of a controller reach
+_ACCURATE = 5e-4  # error of a current by interpolation, in i_max, from which on the tables are refined
+_MOST_POINTS = 321  # of an axis that is refined: the sources then take 3 MB
 _DATE = (1980, 1, 1, 0, 0, 0)  # of all files in the archive, so that equal models are equal files
 _MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
 _SYSTEMS = {"linux": ("linux", ".so"), "darwin": ("darwin", ".dylib"), "win32": ("windows", ".dll")}
@@ -70,8 +78,12 @@ def write(table: MapTable, options: ExportOptions, version: int = 3) -> bytes:
     table.machine.known_pole_pairs()
     held = table.result.provenance.temperature
     variables = _variables(table.known_resistance(), 20.0 if held is None else held)
-    drop = table.machine.inverter_current, table.machine.inverter_voltage
-    header = c_header.with_drop(table, options, *drop).decode("ascii")
+    table, machine = _finer(table), table.machine
+    slopes = machine.inductances(*table.grid)
+    gains = {"d": slopes[..., 0, 0], "q": slopes[..., 1, 1]}  # which the model does not read
+    count = len(table.i_d), len(table.i_q)
+    control = CurrentControl(table, options.rate, gains, math.nan, math.nan, 0.0, 0, count)
+    header = c_header.header(control, options, machine.inverter_current, machine.inverter_voltage).decode("ascii")
     code = {name: (_FOLDER / name).read_text(encoding="ascii") for name in ("model.h", "fmi.h", f"fmi{version}.c")}
     listed = _listed(variables)
     token = hashlib.sha256("".join([header, listed, *code.values()]).encode()).hexdigest()[:32]
@@ -89,6 +101,44 @@ def write(table: MapTable, options: ExportOptions, version: int = 3) -> bytes:
         for name, content in files.items():
             archive.writestr(zipfile.ZipInfo(name, _DATE), content, zipfile.ZIP_DEFLATED)
     return stream.getvalue()
+
+
+def _finer(table: MapTable) -> MapTable:
+    """Return the table on axes that reach 1.5 i_max or the data, with points as dense as its interpolation needs."""
+    machine, known = table.machine, table.machine.flux_map
+    rows = np.nonzero(known.inside)
+    i_d, i_q = (
+        _reaching(axis, max(_BEYOND * machine.i_max, float(np.abs(own[at]).max())))
+        for axis, own, at in zip((table.i_d, table.i_q), (known.i_d, known.i_q), rows, strict=True)
+    )
+    while True:
+        table = table.on(i_d, i_q)
+        finer = divided(i_d, 2), divided(i_q, 2)
+        if max(map(len, finer)) > _MOST_POINTS or _current_error(table, *finer) < _ACCURATE * machine.i_max:
+            return table
+        i_d, i_q = finer
+
+
+def _reaching(axis: FloatArray, reach: float) -> FloatArray:
+    """Return an axis with further points at its ends, up to both -reach and reach."""
+    before, after = (math.ceil(max(0.0, reach - end) / step - 1e-9) for end, step in _ends(axis))
+    low, high = (step for _, step in _ends(axis))
+    return np.concatenate([axis[0] - low * np.arange(before, 0, -1), axis, axis[-1] + high * np.arange(1, after + 1)])
+
+
+def _ends(axis: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (float(-axis[0]), float(axis[1] - axis[0])), (float(axis[-1]), float(axis[-1] - axis[-2]))
+
+
+def _current_error(table: MapTable, i_d: FloatArray, i_q: FloatArray) -> float:
+    """Return the largest error of a current, A, that belongs to a flux of the interpolated table within the data."""
+    d, q = np.meshgrid(i_d, i_q, indexing="ij")
+    true = table.machine.psi_dq(d, q)
+    fluxes = zip(true, table.machine.psi_dq(*table.grid), strict=True)
+    away = [cubic(table.i_q, cubic(table.i_d, own, i_d).T, i_q).T - psi for psi, own in fluxes]
+    inside = table.machine.inside(d, q)
+    error = np.linalg.solve(table.machine.inductances(d, q)[inside], np.stack(away, axis=-1)[inside][..., None])
+    return float(np.abs(error).max())
 
 
 def _listed(variables: list[_Variable]) -> str:

@@ -1,6 +1,6 @@
 /*
  * What FMI 2.0 and 3.0 have in common, over model.h. A file that includes this defines FMI(name), which puts the prefix of
- * its version before a name of version 3.0.
+ * its version before a name of version 3.0, the type Logger, and tell(log, owner, name, status, category, message).
  */
 #define DRIVE_ID_DOUBLE
 #include "model.h"
@@ -15,13 +15,42 @@ enum { OK, WARNING, DISCARD, ERROR_ };
 #define ME(...) (void)c; return (__VA_ARGS__)
 #define ONE(name, ...) EXPORT int name(__VA_ARGS__)
 
-static Model *instance(const char *token)
+/* The model comes first: an instance is one. */
+typedef struct {
+    Model model;
+    int beyond; /* it was told that the current is beyond the map */
+    char *name;
+    Logger log;
+    void *owner;
+} Instance;
+
+static Model *instance(const char *token, const char *name, Logger log, void *owner)
 {
-    Model *m = token && strcmp(token, TOKEN) == 0 ? malloc(sizeof *m) : NULL;
-    if (m) {
-        model_reset(m);
+    Instance *o = token && strcmp(token, TOKEN) == 0 ? calloc(1, sizeof *o) : NULL;
+    if (o) {
+        model_reset(&o->model);
+        o->log = log;
+        o->owner = owner;
+        o->name = name ? malloc(strlen(name) + 1) : NULL;
+        if (o->name) {
+            strcpy(o->name, name);
+        }
     }
-    return m;
+    return (Model *)o;
+}
+
+/* Say what is wrong after a step: an error each time, a current beyond the map once until it is back. */
+static int checked(void *c)
+{
+    Instance *o = c;
+    const char *trouble = model_trouble(&o->model);
+    const int failed = trouble && !(isfinite(o->model.value[I_D]) && isfinite(o->model.value[I_Q]));
+    if (trouble && o->log && (failed || !o->beyond)) {
+        tell(o->log, o->owner, o->name ? o->name : "drive", failed ? ERROR_ : WARNING, failed ? "logStatusError" : "logStatusWarning",
+             trouble);
+    }
+    o->beyond = trouble && !failed;
+    return failed ? ERROR_ : OK;
 }
 static int get_values(Model *m, const unsigned *vr, size_t n, double *x)
 {
@@ -45,7 +74,13 @@ static int set_values(Model *m, const unsigned *vr, size_t n, const double *x)
     }
     return OK;
 }
-EXPORT void FMI(FreeInstance)(void *c) { free(c); }
+EXPORT void FMI(FreeInstance)(void *c)
+{
+    if (c) {
+        free(((Instance *)c)->name);
+    }
+    free(c);
+}
 ONE(FMI(ExitInitializationMode), void *c) { model_update(c); return OK; }
 ONE(FMI(Terminate), void *c) { ME(OK); }
 ONE(FMI(Reset), void *c) { model_reset(c); return OK; }
@@ -84,7 +119,7 @@ ONE(FMI(SetTime), void *c, double t) { ((Model *)c)->value[TIME] = t; return OK;
 ONE(FMI(SetContinuousStates), void *c, const double *x, size_t n)
 {
     memcpy(((Model *)c)->value + I_D, x, (n < STATES ? n : STATES) * sizeof *x);
-    return n == STATES ? OK : ERROR_;
+    return n == STATES ? checked(c) : ERROR_;
 }
 ONE(FMI(GetContinuousStates), void *c, double *x, size_t n)
 {

@@ -7,7 +7,17 @@
 #define fmi2SerializeFMUState fmi2SerializeFMUstate
 #define fmi2DeserializeFMUState fmi2DeSerializeFMUstate
 #define fmi2GetContinuousStateDerivatives fmi2GetDerivatives
+typedef void (*Logger)(void *owner, const char *name, int status, const char *category, const char *message, ...);
+#define tell(log, owner, name, status, category, message) (log)(owner, name, status, category, "%s", message)
 #include "fmi.h"
+
+typedef struct {
+    Logger log;
+    void *(*allocate)(size_t, size_t);
+    void (*release)(void *);
+    void (*finished)(void *, int);
+    void *owner;
+} Callbacks;
 
 typedef struct {
     int again, terminate, nominals, values, timed;
@@ -18,11 +28,11 @@ EXPORT const char *fmi2GetTypesPlatform(void) { return "default"; }
 EXPORT const char *fmi2GetVersion(void) { return "2.0"; }
 ONE(fmi2SetDebugLogging, void *c, int on, size_t n, const char *const *x) { (void)on; (void)n; (void)x; ME(OK); }
 
-EXPORT void *fmi2Instantiate(const char *name, int type, const char *guid, const char *place, const void *calls, int visible,
-                             int logging)
+EXPORT void *fmi2Instantiate(const char *name, int type, const char *guid, const char *place, const Callbacks *calls,
+                             int visible, int logging)
 {
-    (void)name; (void)type; (void)place; (void)calls; (void)visible; (void)logging;
-    return instance(guid);
+    (void)type; (void)place; (void)visible; (void)logging;
+    return instance(guid, name, calls ? calls->log : NULL, calls ? calls->owner : NULL);
 }
 ONE(fmi2SetupExperiment, void *c, int tol, double t, double start, int stop, double end)
 {
@@ -55,7 +65,8 @@ ONE(fmi2DoStep, void *c, double t, double h, int fixed)
 {
     (void)fixed;
     ((Model *)c)->value[TIME] = t;
-    return model_step(c, h) ? OK : ERROR_;
+    model_step(c, h);
+    return checked(c);
 }
 ONE(fmi2CancelStep, void *c) { ME(ERROR_); }
 ONE(fmi2SetRealInputDerivatives, void *c, const unsigned *vr, size_t n, const int *order, const double *x)

@@ -1,5 +1,7 @@
 /* FMI 3.0, model exchange and co-simulation, over model.h. Numbers and types are those of the standard's C interface. */
 #define FMI(name) fmi3##name
+typedef void (*Logger)(void *owner, int status, const char *category, const char *message);
+#define tell(log, owner, name, status, category, message) ((void)(name), (log)(owner, status, category, message))
 #include "fmi.h"
 #include <stdbool.h>
 
@@ -8,18 +10,17 @@
 EXPORT const char *fmi3GetVersion(void) { return "3.0"; }
 ONE(fmi3SetDebugLogging, void *c, bool on, size_t n, const char *const *x) { (void)on; (void)n; (void)x; ME(OK); }
 EXPORT void *fmi3InstantiateModelExchange(const char *name, const char *token, const char *place, bool visible, bool logging,
-                                          void *owner, const void *log)
+                                          void *owner, Logger log)
 {
-    (void)name; (void)place; (void)visible; (void)logging; (void)owner; (void)log;
-    return instance(token);
+    (void)place; (void)visible; (void)logging;
+    return instance(token, name, log, owner);
 }
 EXPORT void *fmi3InstantiateCoSimulation(const char *name, const char *token, const char *place, bool visible, bool logging,
                                          bool events, bool early, const unsigned *needed, size_t n, void *owner,
-                                         const void *log, const void *update)
+                                         Logger log, const void *update)
 {
-    (void)name; (void)place; (void)visible; (void)logging; (void)events; (void)early; (void)needed; (void)n; (void)owner;
-    (void)log; (void)update;
-    return instance(token);
+    (void)place; (void)visible; (void)logging; (void)events; (void)early; (void)needed; (void)n; (void)update;
+    return instance(token, name, log, owner);
 }
 EXPORT void *fmi3InstantiateScheduledExecution(const char *name, const char *token, const char *place, bool visible,
                                                bool logging, void *owner, const void *log, const void *clock,
@@ -108,6 +109,7 @@ ONE(fmi3DoStep, void *c, double t, double h, bool fixed, bool *event, bool *end,
     *event = *end = *early = false;
     ((Model *)c)->value[TIME] = t;
     *last = t + h;
-    return model_step(c, h) ? OK : ERROR_;
+    model_step(c, h);
+    return checked(c);
 }
 ONE(fmi3ActivateModelPartition, void *c, unsigned clock, double t) { (void)clock; (void)t; ME(ERROR_); }

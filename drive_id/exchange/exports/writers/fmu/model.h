@@ -11,6 +11,7 @@
 #include <string.h>
 
 #define STATES 3
+#define BEYOND 1.5 /* of i_max: farther than that without data, it is told */
 
 typedef struct {
     double value[VARIABLES];
@@ -21,16 +22,53 @@ static void model_reset(Model *m)
     memcpy(m->value, starts, sizeof starts);
 }
 
+/* psi (Wb) at i_d, i_q; beyond the tables it continues with the slopes at their edge. */
+static void model_psi(double i_d, double i_q, double out[2])
+{
+    const double h = 1e-4 * DRIVE_ID_I_MAX;
+    const double d = drive_id_clamp(drive_id_i_d, DRIVE_ID_ND, i_d), q = drive_id_clamp(drive_id_i_q, DRIVE_ID_NQ, i_q);
+    out[0] = drive_id_psi_d_bicubic(d, q);
+    out[1] = drive_id_psi_q_bicubic(d, q);
+    if (i_d != d) {
+        const double inner = i_d < d ? d + h : d - h, share = (i_d - d) / (d - inner);
+        out[0] += share * (out[0] - drive_id_psi_d_bicubic(inner, q));
+        out[1] += share * (out[1] - drive_id_psi_q_bicubic(inner, q));
+    }
+    if (i_q != q) {
+        const double inner = i_q < q ? q + h : q - h, share = (i_q - q) / (q - inner);
+        out[0] += share * (drive_id_psi_d_bicubic(d, q) - drive_id_psi_d_bicubic(d, inner));
+        out[1] += share * (drive_id_psi_q_bicubic(d, q) - drive_id_psi_q_bicubic(d, inner));
+    }
+}
+
 /* psi (Wb) and its derivatives by i_d and i_q (H): psi_d, psi_q, L_dd, L_dq, L_qd, L_qq. */
 static void model_flux(const double *v, double out[6])
 {
     const double i_d = v[I_D], i_q = v[I_Q], h = 1e-4 * DRIVE_ID_I_MAX;
-    out[0] = drive_id_psi_d_bicubic(i_d, i_q) + drive_id_magnet(v[MAGNET_TEMPERATURE]);
-    out[1] = drive_id_psi_q_bicubic(i_d, i_q);
-    out[2] = (drive_id_psi_d_bicubic(i_d + h, i_q) - drive_id_psi_d_bicubic(i_d - h, i_q)) / (2 * h);
-    out[3] = (drive_id_psi_d_bicubic(i_d, i_q + h) - drive_id_psi_d_bicubic(i_d, i_q - h)) / (2 * h);
-    out[4] = (drive_id_psi_q_bicubic(i_d + h, i_q) - drive_id_psi_q_bicubic(i_d - h, i_q)) / (2 * h);
-    out[5] = (drive_id_psi_q_bicubic(i_d, i_q + h) - drive_id_psi_q_bicubic(i_d, i_q - h)) / (2 * h);
+    double low[2], high[2];
+    model_psi(i_d, i_q, out);
+    out[0] += drive_id_magnet(v[MAGNET_TEMPERATURE]);
+    model_psi(i_d - h, i_q, low);
+    model_psi(i_d + h, i_q, high);
+    out[2] = (high[0] - low[0]) / (2 * h);
+    out[4] = (high[1] - low[1]) / (2 * h);
+    model_psi(i_d, i_q - h, low);
+    model_psi(i_d, i_q + h, high);
+    out[3] = (high[0] - low[0]) / (2 * h);
+    out[5] = (high[1] - low[1]) / (2 * h);
+}
+
+/* What is wrong with the state, in a sentence; NULL: nothing. */
+static const char *model_trouble(const Model *m)
+{
+    const double i_d = m->value[I_D], i_q = m->value[I_Q];
+    if (!isfinite(i_d) || !isfinite(i_q)) {
+        return "The currents diverged: check voltages, speed, temperatures and the step of the solver inside.";
+    }
+    if (i_d * i_d + i_q * i_q > BEYOND * BEYOND * DRIVE_ID_I_MAX * DRIVE_ID_I_MAX && !drive_id_inside(i_d, i_q)) {
+        return "The current is beyond 1.5 i_max and the data: the map continues with its slopes, which were not measured.";
+    }
+    return NULL;
 }
 
 /* Compute outputs and derivatives from states, inputs and parameters. */
@@ -67,8 +105,8 @@ static void model_update(Model *m)
     v[DER_ANGLE] = omega;
 }
 
-/* Runge-Kutta's rule of fourth order over h (s), in equal steps of at most the parameter step. Returns 0 when it diverged. */
-static int model_step(Model *m, double h)
+/* Runge-Kutta's rule of fourth order over h (s), in equal steps of at most the parameter step. */
+static void model_step(Model *m, double h)
 {
     const double count = ceil(h / m->value[STEP] - 1e-9);
     const int steps = count < 1 ? 1 : (count > 1e8 ? 100000000 : (int)count);
@@ -91,7 +129,6 @@ static int model_step(Model *m, double h)
     }
     m->value[TIME] += h;
     model_update(m);
-    return isfinite(m->value[I_D]) && isfinite(m->value[I_Q]);
 }
 
 static int model_set(Model *m, unsigned vr, double x)

@@ -38,10 +38,14 @@ def growth(assessment: Assessment, sigma: float, known: tuple[int, float]) -> Me
     changes = assessment.changes[RESISTANCE]
     fit = assessment.misfit.changes.shape[1]
     noise, misfit, curve = np.split(changes, [len(changes) - 1 - fit, len(changes) - 1])
-    parts = {"misfit": _square(misfit), "curve": _square(curve), "noise": _square(noise[:-_BIASES])}
+    parts = {
+        "resistance_error.misfit": _square(misfit),
+        "resistance_error.curve": _square(curve),
+        "resistance_error.noise": _square(noise[:-_BIASES]),
+    }
     cause = max(parts, key=lambda name: parts[name])
     share = parts[cause] / max(_square(changes), np.finfo(np.float64).tiny)
-    return Message(f"resistance_error.{cause}", sigma=sigma, before=before, samples=samples, share=share)
+    return Message(cause, sigma=sigma, before=before, samples=samples, share=share)
 
 
 def _square(changes: FloatArray) -> float:

@@ -1,0 +1,36 @@
+"""Why R is less certain than it was from fewer samples: the largest cause among noise, lack of fit and curve."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from drive_id.core.full.model import RESISTANCE
+from drive_id.core.result.resistance_error import growth
+
+
+def assessment(noise, misfit, curve):
+    """Changes of one unknown, R: four batches of time, four biases, two groups, and the curve."""
+    own = np.array([*[noise / 2] * 4, 0.0, 0.0, 0.0, 0.0, *[misfit / np.sqrt(2)] * 2, curve])
+    changes = np.zeros((RESISTANCE + 1, len(own))) if RESISTANCE >= 0 else own[None]
+    changes[RESISTANCE] = own
+    return SimpleNamespace(changes=changes, misfit=SimpleNamespace(changes=changes[:, 8:10]))
+
+
+@pytest.mark.parametrize(
+    ("parts", "cause"),
+    [((1e-5, 2e-5, 5e-5), "inverter's drop still bends"), ((1e-5, 5e-5, 2e-5), "what the model cannot follow"),
+     ((5e-5, 1e-5, 2e-5), "residuals of later samples are larger")],
+)  # fmt: skip
+def test_the_largest_cause_is_named(parts, cause):
+    said = growth(assessment(*parts), 5.5e-5, (85_000, 2.5e-5))
+    assert cause in said
+    assert "from 85000 samples, ±0.055 instead of ±0.025 mΩ" in said
+    assert "83 %" in said
+
+
+def test_nothing_is_said_where_the_error_does_not_grow():
+    assert growth(assessment(1e-5, 1e-5, 1e-5), 2.9e-5, (85_000, 2.5e-5)) is None
+    assert growth(assessment(1e-5, 1e-5, 1e-5), 2.9e-5, (85_000, 0.0)) is None

@@ -8,7 +8,7 @@ import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
-from drive_id.inspection.choice import timed
+from drive_id.inspection.clock import timed
 from drive_id.inspection.contents import Contents
 from drive_id.inspection.inspect import Inspection
 from drive_id.reporting.tables import plain_table

@@ -219,7 +219,7 @@ def held_angle(samples):
 
 
 BAD_BAGS = [
-    (text_file, "neither an MCAP nor a sqlite3 recording"),
+    (text_file, "is not a table of numbers below a line with the names"),
     (binary_file, "neither an MCAP nor a sqlite3 recording"),
     (binary_mcap, "x_0.mcap"),
     (empty_folder, "without an .mcap or .db3 file"),

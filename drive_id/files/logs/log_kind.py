@@ -50,6 +50,8 @@ _FOREIGN = {
 }
 """Files that are not read, by their first bytes: what they are, and the way out."""
 _HEAD = 4096
+_MOST_CONTROLS = 0.05
+"""Share of control characters up to which bytes are a text."""
 _CONTROLS = bytes(set(range(32)) - set(b"\t\n\r\f"))
 
 
@@ -83,7 +85,8 @@ def _text_kind(head: bytes) -> str:
     """Return ``csv`` or ``jsonl`` for the beginning of a text, and an empty one for anything else."""
     if head.startswith(UTF_16):
         return "csv"
-    if not head or head.translate(None, _CONTROLS) != head:
+    controls = len(head) - len(head.translate(None, _CONTROLS))
+    if not head or b"\0" in head or controls > _MOST_CONTROLS * len(head):
         return ""
     return "jsonl" if head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"{") else "csv"
 

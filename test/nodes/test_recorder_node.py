@@ -98,7 +98,10 @@ class Recorder:
     def stop(self):
         from drive_id_msgs.srv import StopRecording
 
-        return self.ros.call(StopRecording, f"{self.name}/stop")
+        reply = self.ros.call(StopRecording, f"{self.name}/stop")
+        while "call stop again" in reply.message:  # the disk is slow
+            reply = self.ros.call(StopRecording, f"{self.name}/stop")
+        return reply
 
     def set(self, name, value):
         from rcl_interfaces.srv import SetParameters

@@ -306,7 +306,7 @@ def _executor(context):
 
 
 def _node_without_events(name, context):
-    """Return a node whose publishers and subscriptions may go while an event of theirs waits for an events executor."""
+    """Return a node whose publishers, subscriptions and timers may go while an events executor has to call them."""
     from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
     from rclpy.node import Node
 
@@ -318,6 +318,10 @@ def _node_without_events(name, context):
         def create_subscription(self, *args, **options):
             events = SubscriptionEventCallbacks(use_default_callbacks=False)
             return super().create_subscription(*args, **({"event_callbacks": events} | options))
+
+        def create_timer(self, period, callback, **options):
+            timer = super().create_timer(period, lambda: callback() if timer in self.timers else None, **options)
+            return timer
 
     return Quiet(name, context=context)
 

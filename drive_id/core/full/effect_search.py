@@ -168,7 +168,7 @@ def _greedy(
             solution = delayed
         else:
             spec = _with_effect(solution.spec, best)
-            if not better_on_most_folds(*(solver.left_out(each)[:, 0] for each in (solution.spec, spec))):
+            if not better_on_most_folds(*solver.left_out_with_and_without(spec, best).T):
                 break
             columns = replace(state.found.columns, estimate=solver.solve(spec).estimate)
             state = _with_hidden_ripple(sums, settled.get(best) or _settled(sums, spec, columns), noise)
@@ -302,11 +302,12 @@ def plausible_effects(solution: FullSolution, model: FullModel, period: float) -
 
 def effect_savings(solver: Solver, solution: FullSolution, names: Sequence[str], period: float) -> dict[str, float]:
     """Return the share of the squared residuals that each effect saves; 0 where its value is not plausible."""
-    savings = {}
-    for name in names:
-        saving, value = solver.saving(solution, solver.model.effect(name))
-        savings[name] = saving if _plausible(name, float(value[0]), period) else 0.0
-    return savings
+    if not names:
+        return {}
+    found = solver.savings(solution, {name: solver.model.effect(name) for name in names})
+    return {
+        name: saving if _plausible(name, float(value[0]), period) else 0.0 for name, (saving, value) in found.items()
+    }
 
 
 def _plausible(name: str, value: float, period: float) -> bool:

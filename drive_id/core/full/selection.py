@@ -22,7 +22,7 @@ from drive_id.core.full.effects import OF_SENSORS
 from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
 from drive_id.core.full.solver import LEAST_SAVED, CurrentNoise, FullSolution, Solver, predictable
-from drive_id.core.full.standard_errors import SIGNIFICANCE, residual_statistics, sigma
+from drive_id.core.full.standard_errors import SIGNIFICANCE, changes_by_batch, sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.full.zero_crossings import between_crossings, crossings_exceed
@@ -35,8 +35,6 @@ HIGHEST_ORDER = 48
 
 _CLEAR_GAIN = 0.05
 """Share of the squared error on held-out data that a variant must save: less may be chance."""
-_SOME_GAIN = 0.01
-"""Share that the first two folds must save for the others to be tried."""
 _LEAST_COMPENSATED = 0.2
 """Share of the drop from which on lagging columns are taken for a compensation."""
 _CURVE_POINTS = 201
@@ -188,7 +186,9 @@ def _resolved(
         for candidate in tried:
             finer = sums.over(replace(sums.model, cells=candidate))
             other = Solver.over(finer)
-            found, by_finer = other.best_penalty(spec)
+            if (better := other.better_penalty(spec, error)) is None:
+                continue
+            found, by_finer = better
             if _clearly_better(solver, error, by_finer):
                 sums, solver, spec, error, solution = finer, other, found, by_finer, other.solve(found)
                 break
@@ -315,7 +315,7 @@ def _first_candidate(
         final = solver.solve(spec)
         plausible = plausible_effects(final, solver.model, noise.period)
         if plausible == spec.effects:
-            wide = _with_wide_curve(search, final, noise)
+            wide = _with_wide_curve(search, final)
             if wide is not final:
                 spec, error = solver.best_penalty(wide.spec)
                 final = solver.solve(spec)
@@ -370,7 +370,7 @@ def _with_early_steps(solver: Solver, solution: FullSolution, least: float = 0.0
     return solver.solve(replace(solution.spec, crossing=True))
 
 
-def _with_wide_curve(search: EffectSearch, solution: FullSolution, noise: CurrentNoise) -> FullSolution:
+def _with_wide_curve(search: EffectSearch, solution: FullSolution) -> FullSolution:
     """Add wide shapes to the inverter's curve, as long as each changes R by more than noise does.
 
     R takes a part of a drop that still bends at large currents. Which part depends on the shapes. Near zero current,
@@ -382,7 +382,7 @@ def _with_wide_curve(search: EffectSearch, solution: FullSolution, noise: Curren
         least = abs(wider.resistance - solution.resistance) / SIGNIFICANCE
         if least < white:
             break
-        one, two = (residual_statistics(search.sums, each, noise)[0][RESISTANCE] for each in (solution, wider))
+        one, two = (changes_by_batch(search.sums, each, RESISTANCE) for each in (solution, wider))
         if least < sigma(two - one):
             break
         solution = wider
@@ -426,14 +426,11 @@ def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> float:
 
     Stops early when the first two folds show no gain.
     """
-    folds = np.flatnonzero(predictable(error))
-    first, rest = folds[:2], np.setdiff1d(np.arange(len(error)), folds[:2])
-    other = error.copy()
-    other[first] = solver.left_out(spec, folds=first)[:, 0]
-    if np.all(other[first] > (1 - _SOME_GAIN) * error[first]):
+    found = solver.left_out_if_less(spec, error)
+    if found is None or not _clearly_better(solver, error, other := found[:, 0]):
         return np.nan
-    other[rest] = solver.left_out(spec, folds=rest)[:, 0]
-    return 1.0 - float(other[folds].sum() / error[folds].sum()) if _clearly_better(solver, error, other) else np.nan
+    folds = predictable(error)
+    return 1.0 - float(other[folds].sum() / error[folds].sum())
 
 
 def _significant_orders(model: FullModel, solution: FullSolution, i_dq: FloatArray) -> tuple[int, ...]:

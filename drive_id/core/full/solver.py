@@ -10,7 +10,7 @@ integrals of the current and of the inverter's shapes also attenuates R and the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -31,7 +31,7 @@ from drive_id.core.full.model import (
 from drive_id.core.full.window_sums import WindowSums, with_products
 from drive_id.core.full.windows import SHIFTS, Windows
 from drive_id.core.maps.flux_models import jacobian
-from drive_id.core.numerics.normal_equations import congruent, factorize, increased, penalized, times, unpacked
+from drive_id.core.numerics.normal_equations import congruent, factorize, inverse_of, nested, penalized, times, unpacked
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import TINY, BoolArray, FloatArray, IntArray
 
@@ -41,6 +41,8 @@ LEAST_SAVED = 3e-4
 """Rms, relative to that of the integrated voltages, that a variant of the model must save. For a reciprocal machine,
 the misfit of splines and inverter curves, which free maps absorb, is at most half of it. If free maps save no more,
 reciprocal maps cost at most 0.03 % of the flux."""
+_SOME_GAIN = 0.01
+"""Share that the first two folds must save for the others to be tried."""
 _UNPREDICTABLE = 4.0
 """Error on a fold left out, relative to the median: a fold with a disturbance judges no variant."""
 _NOISE_STEP = 2.0
@@ -99,7 +101,7 @@ class FullSolution:
     @cached_property
     def white_covariance(self) -> FloatArray:
         """Covariance (M, M) of the unknowns for white residuals of unit variance."""
-        return self.gain(np.eye(len(self.scale)))
+        return inverse_of(self.factor, self.scale)
 
 
 class Solver:
@@ -148,10 +150,10 @@ class Solver:
     def solve(self, spec: ModelSpec, noise: sparse.csr_array | None = None) -> FullSolution:
         """Fit a variant to all folds, with the products (size, size) of additional noise if given."""
         known, voltage = self._normal(spec), self._voltage(spec)
-        normal = increased(known.normal.copy(), known.penalty(spec.penalty))
+        penalty = known.penalty(spec.penalty)
         if noise is not None:
-            increased(normal, sparse.csr_array(known.basis.T @ noise @ known.basis))
-        factor, scale = factorize(normal)
+            penalty = sparse.csr_array(penalty + known.basis.T @ noise @ known.basis)
+        factor, scale = factorize(known.normal, penalty)
         moment = known.t.T @ times(self.total, voltage)
         x = linalg.cho_solve((factor, True), moment / scale, check_finite=False) / scale
         estimate = known.t @ x - voltage
@@ -201,40 +203,103 @@ class Solver:
         The penalty acts on the map alone: all else is eliminated once per fold, ``S = A_mm - A_mn A_nn^-1 A_nm``, and
         ``S + lambda P`` is solved for each penalty lambda.
         """
-        known, voltage = self._normal(spec), self._voltage(spec)
-        t, normal = known.t, known.normal
+        known, moment = self._normal(spec), self._moment(spec)
         tried = [known.penalty(penalty) for penalty in penalties or (spec.penalty,)]
-        moment = t.T @ times(self.total, voltage)
-        in_map = np.asarray(abs(t[self.model.summed.map]).sum(axis=0)).ravel() > 0
+        in_map = np.asarray(abs(known.t[self.model.summed.map]).sum(axis=0)).ravel() > 0
+
+        def solutions(rest: FloatArray, own: FloatArray) -> list[FloatArray]:
+            if len(tried) > 1:
+                return penalized(rest, moment - own, tried, in_map)
+            return [nested(rest, moment - own, tried[0], (len(moment),))[0]]
+
+        return self._errors(spec, known.t, known.normal, solutions, folds)
+
+    def left_out_with_and_without(self, spec: ModelSpec, effect: str) -> FloatArray:
+        """Return the errors (F, 2) of :meth:`left_out` without one of the effects, and with it.
+
+        One factorization serves both if the unknowns of the effect are the last ones.
+        """
+        known, moment, columns = self._normal(spec), self._moment(spec), self.model.effect(effect)
+        own = np.asarray(abs(known.t[columns]).sum(axis=0)).ravel() > 0
+        order = np.concatenate([np.flatnonzero(~own), np.flatnonzero(own)])
+        normal, penalty = (known.normal.take(order, axis=0).take(order, axis=1), known.penalty(spec.penalty))
+        penalty, counts = sparse.csr_array(penalty[order][:, order]), (int(np.sum(~own)), len(own))
+
+        def solutions(rest: FloatArray, of_fold: FloatArray) -> list[FloatArray]:
+            return nested(rest, moment[order] - of_fold, penalty, counts)
+
+        return self._errors(spec, sparse.csr_array(known.t[:, order]), normal, solutions)
+
+    def _moment(self, spec: ModelSpec) -> FloatArray:
+        return np.asarray(self._normal(spec).t.T @ times(self.total, self._voltage(spec)))
+
+    def _errors(
+        self,
+        spec: ModelSpec,
+        t: sparse.csr_array,
+        normal: FloatArray,
+        solutions: Callable[[FloatArray, FloatArray], list[FloatArray]],
+        folds: Sequence[int] | IntArray | None = None,
+    ) -> FloatArray:
+        """Return the errors (F, S) of folds left out by the solutions of the rest, of its matrix and the fold's moment.
+
+        ``normal`` is T'Z'ZT of all folds.
+        """
+        voltage = self._voltage(spec)
 
         def errors(number: int) -> list[float]:
             effects = None if self._effects is None else self._effects[number]
             fold = with_products(unpacked(self._folds[number], len(voltage)), effects, self.model)
             own, product = congruent(t, fold), times(fold, voltage)
             del fold
-            rest = normal - own
-            own_moment, square = t.T @ product, voltage @ product
-            estimates = penalized(rest, moment - own_moment, tried, in_map)
-            return [
-                max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
-            ]
+            moment, square = t.T @ product, voltage @ product
+            estimates = solutions(normal - own, moment)
+            return [max(x @ (own @ x - 2 * moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates]
 
         return np.array(in_threads(errors, range(len(self._folds)) if folds is None else [int(k) for k in folds]))
 
+    def left_out_if_less(
+        self, spec: ModelSpec, error: FloatArray, penalties: Sequence[float] = ()
+    ) -> FloatArray | None:
+        """Return :meth:`left_out`; None if two folds show no gain over the errors (F,) of another variant."""
+        first = np.flatnonzero(predictable(error))[:2]
+        errors, rest = np.empty((len(error), max(len(penalties), 1))), np.setdiff1d(np.arange(len(error)), first)
+        errors[first] = self.left_out(spec, penalties, first)
+        if np.all(errors[first].min(axis=1) > (1 - _SOME_GAIN) * error[first]):
+            return None
+        errors[rest] = self.left_out(spec, penalties, rest)
+        return errors
+
     def best_penalty(self, spec: ModelSpec) -> tuple[ModelSpec, FloatArray]:
         """Return ``spec`` with the penalty that predicts the folds best, and the squared errors (F,), (Vs)^2."""
-        errors = self.left_out(spec, PENALTIES)
+        return self._best(spec, self.left_out(spec, PENALTIES))
+
+    def better_penalty(self, spec: ModelSpec, error: FloatArray) -> tuple[ModelSpec, FloatArray] | None:
+        """Return the same, or None as :meth:`left_out_if_less` does."""
+        errors = self.left_out_if_less(spec, error, PENALTIES)
+        return None if errors is None else self._best(spec, errors)
+
+    @staticmethod
+    def _best(spec: ModelSpec, errors: FloatArray) -> tuple[ModelSpec, FloatArray]:
         best = int(np.argmin(errors[predictable(errors.min(axis=1))].mean(axis=0)))
         return replace(spec, penalty=PENALTIES[best]), errors[:, best]
 
     def saving(self, solution: FullSolution, further: slice) -> tuple[float, FloatArray]:
         """Return by which share unknowns in further columns would reduce the sum of squares, and their values (K,)."""
-        left = self._left(solution, np.arange(further.start, further.stop))
-        moment = self.total[further] @ solution.summed
+        return self.savings(solution, {"": further})[""]
+
+    def savings(self, solution: FullSolution, further: Mapping[str, slice]) -> dict[str, tuple[float, FloatArray]]:
+        """Return the same of several slices, each by itself: one projection serves all."""
+        columns = np.unique(np.concatenate([np.arange(own.start, own.stop) for own in further.values()]))
+        left, moment = self._left(solution, columns), self.total[columns] @ solution.summed
         scale = np.sqrt(np.maximum(np.diag(left), TINY))
-        found = np.linalg.lstsq(left / scale[:, None] / scale, moment / scale, rcond=1e-9)[0]
-        floor = _ROUNDING * self.total[VOLTAGE, VOLTAGE]
-        return float((moment / scale) @ found / max(solution.sum_of_squares, floor, TINY)), -found / scale
+        left, moment = left / scale[:, None] / scale, moment / scale
+        least, out = max(solution.sum_of_squares, _ROUNDING * self.total[VOLTAGE, VOLTAGE], TINY), {}
+        for name, own in further.items():
+            part = slice(*np.searchsorted(columns, (own.start, own.stop)))
+            found = np.linalg.lstsq(left[part, part], moment[part], rcond=1e-9)[0]
+            out[name] = float(moment[part] @ found / least), -found / scale[part]
+        return out
 
     def delay(self, solution: FullSolution) -> tuple[float, float, float]:
         """Estimate by how many samples the voltages act later than recorded.
@@ -270,7 +335,7 @@ class Solver:
 
     def _left(self, solution: FullSolution, columns: IntArray) -> FloatArray:
         """Return the cross products of columns after projecting out the unknowns of a solution."""
-        half = solution.half_gain(np.asarray(self._normal(solution.spec).t.T @ self.total[:, columns]))
+        half = solution.half_gain(np.asarray(self._normal(solution.spec).t.T @ self.total[columns].T))
         return np.asarray(self.total[np.ix_(columns, columns)] - half.T @ half)
 
     def _normal(self, spec: ModelSpec) -> _Normal:

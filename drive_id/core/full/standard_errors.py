@@ -44,6 +44,26 @@ def sigma(changes: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(total) * (1 + _STUDENT / np.maximum(freedom, _FEWEST)))
 
 
+def changes_by_batch(sums: WindowSums, solution: FullSolution, column: int) -> FloatArray:
+    """Return the change (B,) of one entry of the estimate by each batch of time.
+
+    That of :func:`residual_statistics`, but with the mean leverage: it takes a projection instead of all scores.
+    """
+    kept, form = sums.kept(), np.zeros(sums.model.size)
+    form[column], changes, rows = 1.0, [], 2.0 * sum(map(len, sums.kept()))
+    by_row = solution.response(form)
+    for segment in kept:
+        terms = np.sum(sums.model.residuals(segment, by_row) * sums.model.residuals(segment, solution.estimate), axis=1)
+        changes.append(np.add.reduceat(terms, _edges(segment)[:-1]))
+    unused = max(rows - len(solution.scale), 1.0) / rows
+    return np.asarray(np.concatenate(changes) * np.sqrt(2 * sums.windows / rows / unused))
+
+
+def _edges(segment: Windows) -> list[int]:
+    """Return where the batches of a segment begin, and its end."""
+    return [0, *(1 + np.flatnonzero(np.diff(interval(segment.time, _BATCH)))), len(segment)]
+
+
 def residual_statistics(
     sums: WindowSums, solution: FullSolution, noise: CurrentNoise
 ) -> tuple[FloatArray, FloatArray, FloatArray, LackOfFit]:
@@ -96,9 +116,8 @@ def _batch_scores(
     full leverage.
     """
     residuals = rows[..., -1]
-    edges = [0, *(1 + np.flatnonzero(np.diff(interval(segment.time, _BATCH)))), len(segment)]
     out = []
-    for start, end in pairwise(edges):
+    for start, end in pairwise(_edges(segment)):
         forms = rows[start:end, :, :-1].reshape(-1, len(solution.scale))
         met = np.flatnonzero(forms.any(axis=0))
         forms, covered = forms[:, met], covariance[np.ix_(met, met)]

@@ -16,7 +16,28 @@ _TILE = 256  # rows and columns at a time, which stay in the cache
 
 
 def congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
-    """Return T' A T of a symmetric A."""
+    """Return T' A T of a symmetric A.
+
+    Columns of T with one entry only select and scale a row and a column of A, which is much faster than a product.
+    """
+    by_column = t.tocsc()
+    by_column.sum_duplicates()
+    entries, unknowns = np.diff(by_column.indptr), t.shape[1]
+    others = np.flatnonzero(entries != 1)
+    if 2 * len(others) > unknowns:
+        return _product(t, matrix)
+    first = np.minimum(by_column.indptr[:-1], by_column.nnz - 1)
+    row, weight = by_column.indices[first], by_column.data[first]
+    out = matrix.take(row, axis=0).take(row, axis=1)
+    if np.any(weight != 1.0):
+        out *= weight[:, None]
+        out *= weight
+    across = t.T @ np.ascontiguousarray((t[:, others].T @ matrix).T)
+    out[:, others], out[others] = across, across.T
+    return np.asarray(out)
+
+
+def _product(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
     transposed = sparse.csr_array(t.T)
     out = np.empty((t.shape[1], t.shape[1]))
     for start in range(0, t.shape[1], _TILE):  # in parts: the matrices are large
@@ -37,6 +58,12 @@ def unpacked(triangle: FloatArray, size: int) -> FloatArray:
     for row in range(size):
         matrix[row, : row + 1] = triangle[start : start + row + 1]
         start += row + 1
+    return _symmetric(matrix)
+
+
+def _symmetric(matrix: FloatArray) -> FloatArray:
+    """Copy the lower triangle of a matrix to the upper one, in place."""
+    size = len(matrix)
     edges = [*range(0, size, _TILE), size]
     for k, (start, end) in enumerate(pairwise(edges)):  # tile by tile to stay in the cache
         corner = np.tril(matrix[start:end, start:end])
@@ -70,24 +97,37 @@ def penalized(
     """
     outer, (first, last) = np.flatnonzero(~in_map), np.flatnonzero(in_map)[[0, -1]]
     inner = slice(first, last + 1)
-    factor, scale = factorize(increased(normal[np.ix_(outer, outer)], penalties[0][outer][:, outer]))
+    factor, scale = factorize(normal.take(outer, axis=0).take(outer, axis=1), penalties[0][outer][:, outer])
 
-    def halved(right: FloatArray) -> FloatArray:
-        return np.asarray(linalg.solve_triangular(factor, (right.T / scale).T, lower=True, check_finite=False))
+    def halved(rows: FloatArray) -> FloatArray:
+        """Return L^-1 b for b (K, len(outer))', in the order of LAPACK, so that nothing is copied."""
+        scaled = (rows / scale).T
+        return np.asarray(linalg.solve_triangular(factor, scaled, lower=True, overwrite_b=True, check_finite=False))
 
-    across, known = halved(normal[outer, inner]), halved(moment[outer])
+    across, known = halved(normal[inner].take(outer, axis=1)), halved(moment[outer])
     schur, reduced = normal[inner, inner], moment[inner] - across.T @ known
     schur -= across.T @ across
     estimates = []
-    for number, penalty in enumerate(penalties, start=1):
-        penalized_schur = schur.copy() if number < len(penalties) else schur
-        inner_factor, inner_scale = factorize(increased(penalized_schur, penalty[inner][:, inner]))
+    for penalty in penalties:
+        inner_factor, inner_scale = factorize(schur, penalty[inner][:, inner])
         x = np.empty(len(moment))
         x[inner] = linalg.cho_solve((inner_factor, True), reduced / inner_scale, check_finite=False) / inner_scale
         rest = known - across @ x[inner]
         x[outer] = linalg.solve_triangular(factor, rest, lower=True, trans="T", check_finite=False) / scale
         estimates.append(x)
     return estimates
+
+
+def nested(
+    normal: FloatArray, moment: FloatArray, penalty: sparse.csr_array, counts: Sequence[int]
+) -> list[FloatArray]:
+    """Solve ``(normal + penalty) x = moment`` for the first so many unknowns (M,), the others being 0: one factor."""
+    factor, scale = factorize(normal, penalty)
+    known, out = linalg.solve_triangular(factor, moment / scale, lower=True, check_finite=False), []
+    for count in counts:
+        half = np.where(np.arange(len(known)) < count, known, 0.0)
+        out.append(linalg.solve_triangular(factor, half, lower=True, trans="T", check_finite=False) / scale)
+    return out
 
 
 def increased(matrix: FloatArray, by: sparse.csr_array) -> FloatArray:
@@ -104,14 +144,20 @@ def solved(normal: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(linalg.cho_solve((factor, True), right / scale, check_finite=False) / scale)
 
 
-def factorize(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the lower Cholesky factor of the symmetric matrix scaled to a unit diagonal, and the scale."""
-    diagonal = np.diag(normal)
+def factorize(normal: FloatArray, by: sparse.csr_array | None = None) -> tuple[FloatArray, FloatArray]:
+    """Return the lower Cholesky factor of a symmetric matrix, scaled to a unit diagonal, and the scale.
+
+    The matrix is increased by a sparse one, if given.
+    """
+    diagonal = np.diag(normal) + (0.0 if by is None else by.diagonal())
     scale = np.sqrt(np.maximum(diagonal, 1e-24 * diagonal.max()))
-    jitter = _JITTER
+    inverse, jitter = 1.0 / scale, _JITTER
+    relative = None if by is None else sparse.csr_array(sparse.diags_array(inverse) @ by @ sparse.diags_array(inverse))
     while True:
-        scaled = normal / scale[:, None]
-        scaled /= scale
+        scaled = normal * inverse[:, None]
+        scaled *= inverse
+        if relative is not None:
+            increased(scaled, relative)
         scaled[np.diag_indices_from(scaled)] += jitter
         try:  # the transpose is in the order of LAPACK, so that nothing is copied
             return np.asarray(linalg.cholesky(scaled.T, lower=True, overwrite_a=True, check_finite=False)), scale
@@ -119,3 +165,11 @@ def factorize(normal: FloatArray) -> tuple[FloatArray, FloatArray]:
             if jitter > 1e-6:
                 raise
             jitter *= 100.0
+
+
+def inverse_of(factor: FloatArray, scale: FloatArray) -> FloatArray:
+    """Return the inverse (M, M) of a factorized matrix, see :func:`factorize`."""
+    out, _ = linalg.lapack.dpotri(factor, lower=True)
+    out /= scale[:, None]
+    out /= scale
+    return _symmetric(np.asarray(out))

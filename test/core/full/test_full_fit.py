@@ -15,8 +15,9 @@ from drive_id.core.full import window_sums
 from drive_id.core.full.calibration import Calibration, corrected, rotated
 from drive_id.core.full.effect_report import unseen_warning
 from drive_id.core.full.fit import fit_full, sigma
-from drive_id.core.full.model import ModelSpec, delay_shares
+from drive_id.core.full.model import RESISTANCE, ModelSpec, delay_shares
 from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
+from drive_id.core.full.standard_errors import changes_by_batch, residual_statistics
 from drive_id.core.full.windows import SHIFTS, kept_of
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, DataError
@@ -288,6 +289,18 @@ def test_a_variation_in_step_with_the_segments_is_seen_whole(samples, monkeypatc
     assert (found.spec.effects, found.spec.delay) == (("link_ripple",), 0.0)
     ripple = found.solution.estimate[found.model.effect("link_ripple")][:2]
     assert np.hypot(*ripple) == pytest.approx(0.01, rel=0.05)
+
+
+def test_the_changes_of_one_entry_are_those_of_all(samples):
+    """But for the leverage, of which they take the mean."""
+    fit = fitted(samples, replace(FULL, maps="reciprocal"))
+    sums, solution = fit.selection.search.sums, fit.selection.solution
+    noise = CurrentNoise.met(0.06, sums.kept())
+    expected = residual_statistics(sums, solution, noise)[0][RESISTANCE]
+    found = changes_by_batch(sums, solution, RESISTANCE)
+    assert len(found) == len(expected)
+    assert sigma(found) == pytest.approx(sigma(expected), rel=0.1)
+    assert np.corrcoef(found, expected)[0, 1] > 0.95
 
 
 @pytest.mark.accuracy

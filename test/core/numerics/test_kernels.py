@@ -129,3 +129,29 @@ def test_a_triangle_is_unpacked_to_the_symmetric_matrix(size):
     half = np.random.default_rng(size).standard_normal((size, size))
     matrix = half + half.T
     np.testing.assert_array_equal(normal_equations.unpacked(normal_equations.triangle_of(matrix), size), matrix)
+
+
+@pytest.mark.parametrize("weight", [1.0, -0.5])
+def test_a_congruent_matrix_by_selection_and_by_products(weight):
+    """Columns of T with one entry select; those with several, or none, do not."""
+    rng = np.random.default_rng(6)
+    half = rng.standard_normal((14, 14))
+    several, one = np.kron(np.eye(2), np.ones((3, 1))), weight * np.eye(8, 7, k=-1)
+    t = sparse.csr_array(sparse.block_diag([one, several, np.zeros((0, 1))]))
+    expected = t.toarray().T @ (half + half.T) @ t.toarray()
+    np.testing.assert_allclose(normal_equations.congruent(t, half + half.T), expected, rtol=1e-12, atol=1e-12)
+    whole = sparse.csr_array(rng.standard_normal((14, 5)))
+    expected = whole.toarray().T @ (half + half.T) @ whole.toarray()
+    np.testing.assert_allclose(normal_equations.congruent(whole, half + half.T), expected, rtol=1e-12, atol=1e-12)
+
+
+def test_nested_solutions_and_the_inverse_come_from_one_factor():
+    rng = np.random.default_rng(7)
+    root, moment = rng.standard_normal((40, 9)), rng.standard_normal(9)
+    penalty = sparse.csr_array(sparse.diags_array(rng.random(9)))
+    whole = root.T @ root + penalty.toarray()
+    few, every = normal_equations.nested(root.T @ root, moment, penalty, (6, 9))
+    np.testing.assert_allclose(few, np.append(np.linalg.solve(whole[:6, :6], moment[:6]), np.zeros(3)), rtol=1e-9)
+    np.testing.assert_allclose(every, np.linalg.solve(whole, moment), rtol=1e-9)
+    inverse = normal_equations.inverse_of(*normal_equations.factorize(root.T @ root, penalty))
+    np.testing.assert_allclose(inverse, np.linalg.inv(whole), rtol=1e-9)

@@ -71,7 +71,7 @@ def test_the_files_are_as_agreed(folder):
         "torque_speed.csv": ["speed", "torque", "power"],
         "compensation.csv": ["current", "voltage", "sigma_voltage"],
     }
-    assert {path.name for path in folder.iterdir()} == {*starts, "analysis.json", "maps.npz"}
+    assert {path.name for path in folder.iterdir()} == {*starts, "analysis.json", "csv-metadata.json", "maps.npz"}
     for name, columns in starts.items():
         with (folder / name).open() as file:
             assert file.readline().strip().split(",")[: len(columns)] == columns

@@ -91,6 +91,7 @@ def test_bands_of_the_map(erring, pairs):
     same(model.sigma_inductances(i_d, i_q), pairs, lambda other: other.inductances(i_d, i_q))
 
 
+@pytest.mark.accuracy
 def test_the_band_of_the_saliency_knows_that_both_inductances_err_together(erring, pairs):
     small = drive_id.AnalysisSettings(current_points=3, torque_points=1, speed_points=3)
     figure = drive_id.analyze(erring, small).figures["saliency"]
@@ -164,6 +165,7 @@ def test_bands_of_optima_are_those_of_optima_found_anew(erring, pairs):
     same(sigma_envelope(model, LIMITS, points), pairs, lambda other: envelope(other, LIMITS, speed).torque)
 
 
+@pytest.mark.accuracy
 def test_bands_of_mtpv_and_of_the_characteristic_current():
     result = with_modes(exact_result(KINDS["reluctance with magnets"].to_map()), 5e-5)
     model, pairs = MachineModel.of(result), both_ways(result)
@@ -194,6 +196,7 @@ def test_without_correlations_torque_bands_are_wide_and_slopes_have_none():
     assert np.isnan(OperationErrors.of(unknown, points).voltage).all()
 
 
+@pytest.mark.accuracy
 def test_bands_of_a_fit_hold_the_truth(simulation):
     fitted = drive_id.fit(simulation.samples)
     truth = simulation.truth

@@ -43,6 +43,7 @@ def with_map(result, psi_d):
     return replace(result, drive=replace(result.drive, flux_map=flux_map, model=None))
 
 
+@pytest.mark.accuracy
 def test_a_right_map_passes(result, other):
     found = verify(result, other)
     assert all(entry.passed is not False for entry in found.judged(LIMITS))

@@ -32,6 +32,8 @@ def ros():
         yield bench
 
 
+@pytest.mark.essential
+@pytest.mark.slow  # a whole experiment through three nodes, fitted twice
 def test_live_identification_equals_that_of_the_recording_made_beside_it(ros):
     from diagnostic_msgs.msg import DiagnosticArray
     from drive_id_msgs.msg import CurrentReference, Resolver

@@ -53,6 +53,9 @@ def test_real_nodes_load_them():
         for name, (module, _) in FILES.items():
             node = ros.host(module, files=[CONFIG / f"{name}.yaml"]).node
             given = yaml.safe_load((CONFIG / f"{name}.yaml").read_text())["/**"]["ros__parameters"]
-            assert {parameter: node.get_parameter(parameter).value for parameter in given} == pytest.approx(
-                given, nan_ok=True
-            )
+            for parameter, value in given.items():
+                loaded = node.get_parameter(parameter).value
+                if isinstance(value, float):
+                    assert loaded == pytest.approx(value, nan_ok=True), (name, parameter)
+                else:
+                    assert (list(loaded) if isinstance(value, list) else loaded) == value, (name, parameter)

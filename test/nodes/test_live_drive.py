@@ -297,6 +297,7 @@ def test_set_points_beyond_the_limit_of_the_drive_are_ignored_not_scaled():
         ros.wait(lambda: peaks[-1] > 40.0, "the current of set-points within the limit")
 
 
+@pytest.mark.slow  # two drives in real time
 def test_two_drives_on_one_graph_one_of_them_with_other_names():
     with ros_bench() as ros:
         clock = SimulatedTime(ros)
@@ -312,6 +313,7 @@ def test_two_drives_on_one_graph_one_of_them_with_other_names():
         rival.end()
 
 
+@pytest.mark.slow  # a drive at several speeds of time
 def test_simulated_time_passes_at_its_own_speed():
     with ros_bench() as ros:
         drive = LiveDrive(ros, bench={"time_scale": 0.5}, publisher={"lead_time": 4.0})

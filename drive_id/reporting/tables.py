@@ -213,12 +213,12 @@ def verification_table(rows: Iterable[Sequence[str]]) -> Table:
 
 
 def plain_table(title: str, texts: Sequence[str], numbers: Sequence[str] = ()) -> Table:
-    """Return a table without rows: first the names, which stay whole on a narrow terminal, then cells that may wrap."""
+    """Return a table without rows: names and cells, which wrap at words where the terminal is narrow."""
     table = Table(title=escape(title), title_justify="left")
     for place, name in enumerate((*texts, *numbers)):
         named = not place
         table.add_column(
-            name, justify="right" if place >= len(texts) else "left", no_wrap=named, min_width=_NAME if named else None,
+            name, justify="right" if place >= len(texts) else "left", min_width=_NAME if named else None,
             overflow="fold",
         )  # fmt: skip
     return table

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.resolution import Resolution, misfit_by_cell
 from drive_id.core.full.selection import _advantage, _clearly_better
+from drive_id.core.full.solver import Solver
 from drive_id.core.result.identify import identify, score
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import MachineMap
@@ -124,6 +126,7 @@ def test_one_fold_alone_divides_no_cells(lost, better):
 @pytest.mark.parametrize(("beyond", "taken"), [(5.0, True), (10.0, False)])
 def test_free_maps_are_tried_on_folds_that_the_others_cannot_predict_as_well(beyond, taken):
     error, other = 1e-3 * np.array([9.0, 9.0, 1.0, 1.0, 1.0]), 1e-3 * np.array([beyond, beyond, 0.8, 0.8, 0.8])
-    solver = SimpleNamespace(total_voltage=1.0, left_out=lambda _, folds: other[folds][:, None])
+    solver = SimpleNamespace(total_voltage=1.0, left_out=lambda _spec, _penalties, folds: other[folds][:, None])
+    solver.left_out_if_less = partial(Solver.left_out_if_less, solver)
     advantage = _advantage(solver, None, error)
     assert advantage == pytest.approx(0.2 if taken else np.nan, nan_ok=True)

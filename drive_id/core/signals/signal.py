@@ -99,7 +99,7 @@ class SampleCount:
             self._lose(first_sample - ahead, first_sample)
         elif ahead < 0 and not another:
             self._fill(first_sample, end)
-        if ahead >= 0 or another or self._is_uncounted(first_sample):
+        if self.due is None or end > self.due or another or self._is_uncounted(first_sample):
             self.due, self._end = end, None
             if stamp is not None:
                 self._end = stamp + round(samples * period * 1e9)

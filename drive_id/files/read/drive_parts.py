@@ -18,6 +18,8 @@ from drive_id.types import NANOSECONDS
 
 _LEAST = 2000
 """Samples of a part that is read, 0.2 s at 10 kHz: two drives that publish at once give parts of a block each."""
+_FEW = 3
+"""Parts of a short recording that are read, however short: two restarts."""
 
 
 @dataclass
@@ -40,7 +42,7 @@ class DrivePart:
 def drive_parts(path: Path, signals: SignalMap, namespace: str = "") -> list[DrivePart]:
     """Return the parts of a bag of our messages, in order, without those of a few samples only.
 
-    Raises DriveChangedError when all are so short, and BagError, ConfigurationError as
+    Raises DriveChangedError when there are many and all are so short, and BagError, ConfigurationError as
     :func:`~drive_id.files.read.several.read_recording` does.
     """
     watch, parts = DriveWatch(), [DrivePart(0, None)]
@@ -70,6 +72,8 @@ def drive_parts(path: Path, signals: SignalMap, namespace: str = "") -> list[Dri
                 part.samples += head.samples
                 part.last_stamp = head.stamp + round(head.samples * head.sample_period * NANOSECONDS)
     long = [part for part in parts if part.samples >= _LEAST]
+    if not long and len(parts) <= _FEW:
+        return parts
     if not long:
         raise DriveChangedError(Message("drive_changed.mixed", path=str(path), parts=len(parts)))
     return long

@@ -214,6 +214,7 @@ def test_a_fit_that_is_refused_is_told_in_the_diagnostics(samples, tmp_path):
     assert "fit: error" not in identifier.health("", [()] * 3).values
 
 
+@pytest.mark.accuracy
 def test_a_reply_takes_over_and_covers_all_samples(samples, tmp_path):
     """And a request for another method changes nothing of what the background has found."""
     identifier = Identifier(IdentificationSettings(output_directory=str(tmp_path)), FULL)

@@ -34,8 +34,8 @@ _SHORTEST_TICK = 2e-3
 """Time between looks at which samples are due, s: shorter blocks are published several at once."""
 _LONGEST_TICK = 2e-2
 """The same, s: references and faults are taken so often, however long a block is."""
-_DISCOVERY = 5.0
-"""Time after the start in which another publisher of the clock has been there before, s."""
+_DISCOVERY = 2.0
+"""s after the start, within which another clock is discovered (0.1 s usually); later, the other node is the second."""
 
 
 class BenchSimulator(Node):

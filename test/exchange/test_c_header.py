@@ -181,6 +181,7 @@ def open_loop_margin(kp, ki, r, inductance, delay):
     return 180 + np.degrees(np.unwrap(np.angle(loop), axis=0)[crossing, np.arange(loop.shape[1])])
 
 
+@pytest.mark.slow  # margins at thousands of points
 def test_the_margin_holds_between_the_points_and_with_other_inductances(tmp_path):
     drive, axis, period = bridged(), np.linspace(-15.0, 15.0, 21), 1e-4
     options = ExportOptions(axis, axis, bandwidth=1000.0, sample_period=period)

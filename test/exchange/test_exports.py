@@ -348,6 +348,7 @@ def test_tools_that_refuse_nan_get_none(name):
     assert np.isfinite(FILLED[name]()).all()
 
 
+@pytest.mark.slow  # every format
 def test_every_format_marks_or_refuses_gaps_and_fills_them_on_demand():
     drive = on_disc()
     for name, entry in EXPORTS.items():

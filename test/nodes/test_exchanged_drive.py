@@ -7,6 +7,7 @@ import pty
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 from odd_drive import OddDrive
@@ -113,9 +114,13 @@ def test_a_terminal_that_is_gone_costs_no_clean_end(tmp_path):
 
 def test_a_second_clock_is_refused(ros):
     """The first simulator goes on."""
+    from drive_id.nodes.bench_simulator import _DISCOVERY
+
     scaled = {"time_scale": 2.0}
     first = ros.start("drive_id.nodes.bench_simulator", parameters=scaled)
     ros.wait(lambda: "Ready" in first.output and ros.node.count_publishers("/clock") == 1, "the first one")
+    ready = time.monotonic()
+    ros.wait(lambda: time.monotonic() > ready + _DISCOVERY, "the first one to take no other for earlier")
     second = ros.start("drive_id.nodes.bench_simulator", parameters=scaled, namespace="/second")
     second.expected_to_fail = True
     ros.wait(lambda: second.popen.poll() is not None, "the end of the second one")

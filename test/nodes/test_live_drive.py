@@ -252,6 +252,7 @@ def test_a_publisher_that_vanishes_leaves_no_current_behind():
         ros.wait(drive.is_at_zero, "zero current")
 
 
+@pytest.mark.slow  # the watchdog waits in real time
 def test_a_bench_that_vanishes_trips_the_watchdog():
     with ros_bench() as ros:
         drive = LiveDrive(ros, publisher={"watch_timeout": 3.0}, clock=SimulatedTime(ros))

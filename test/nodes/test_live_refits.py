@@ -59,7 +59,7 @@ def test_the_map_is_there_before_anybody_asks_and_stops_with_the_samples(ros, ba
     process.end()
 
 
-@pytest.mark.slow
+@pytest.mark.slow  # a whole fit by the default method in the background
 def test_a_reply_by_method_full_is_that_of_the_bag_whatever_the_background_is_doing(ros, bag, fitted_in_full):
     node = "/busy/identification"
     process = start(ros, "/busy", method="full", refit_share=1.0)

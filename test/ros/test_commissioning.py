@@ -38,7 +38,7 @@ def ros():
 
 
 @pytest.mark.process
-@pytest.mark.slow
+@pytest.mark.slow  # a first start in real time
 def test_a_new_drive_is_characterized_by_one_command(ros):
     output, data = ros.folder / "out", {"data_directory": str(ros.folder)}
     truth = ros.folder / "truth.npz"
@@ -76,7 +76,7 @@ def test_a_new_drive_is_characterized_by_one_command(ros):
 
 
 @pytest.mark.process
-@pytest.mark.slow
+@pytest.mark.slow  # a first start in real time
 def test_a_first_start_is_a_service_and_an_action_that_can_be_cancelled(ros):
     from drive_id_msgs.action import FirstStart as Goal
     from drive_id_msgs.msg import PhaseCurrents
@@ -123,7 +123,7 @@ def test_a_first_start_is_a_service_and_an_action_that_can_be_cancelled(ros):
 
 
 @pytest.mark.process
-@pytest.mark.slow
+@pytest.mark.slow  # a first start in real time
 def test_a_swing_beyond_its_band_trips_and_ends_at_zero_current(ros):
     from drive_id_msgs.msg import PhaseCurrents, PublisherState
     from std_srvs.srv import Trigger

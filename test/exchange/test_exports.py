@@ -376,7 +376,6 @@ def test_a_filled_table_is_continued_smoothly():
     np.testing.assert_allclose(filled["psi_s_dq"][known], (psi_d + 1j * psi_q)[known], atol=1e-4)
 
 
-@pytest.mark.slow  # every format with every error
 def test_errors(tmp_path):
     with pytest.raises(
         ConfigurationError,

@@ -24,6 +24,7 @@ _NEGLIGIBLE = 0.01  # amplitude of a harmonic, by the largest flux, that may be 
 _COARSE = 0.01  # error of bilinear interpolation, by the largest flux, above which it is told
 _MARGIN = 1.25  # reach of the harmonics, in i_max
 _BEYOND = 1.5  # reach of the map, in i_max: overshoot of a simulated current
+_FARTHEST = 3.0  # reach of the map for a wider table, in i_max: continued to 10 times i_max, it takes a minute
 
 
 class AtZero(NamedTuple):
@@ -57,7 +58,8 @@ class MapTable:
         Raises CoverageError when no point of the table has data.
         """
         i_d, i_q = (default_axis(result.i_max) if axis is None else axis for axis in (options.i_d, options.i_q))
-        reach = max(_BEYOND * result.i_max, *(float(np.abs(axis).max()) for axis in (i_d, i_q)))
+        asked = max(float(np.abs(axis).max()) for axis in (i_d, i_q))
+        reach = min(max(_BEYOND * result.i_max, asked), _FARTHEST * result.i_max)
         machine = MachineModel.of(result, pole_pairs=options.pole_pairs, u_dc=options.u_dc, reach=reach)
         whole = machine.rising if simulated else machine
         table = cls(result, whole, i_d, i_q, options.filled, None if machine.monotone_inside else machine)

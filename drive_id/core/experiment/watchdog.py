@@ -319,8 +319,8 @@ class Watchdog:
             yield self._following_fault(steady)
 
     def _two_drives(self, name: str) -> Fault | None:
-        """Return why counts or stamps of a signal mix, if there are two drives."""
-        if len(self.drives) < 2:
+        """Return why counts or stamps of a signal mix, if two drives are there; a killed one is seen for 20 s."""
+        if len(set(self.drives)) < 2:
             return None
         return Fault(f"Two drives publish {name}, {' and '.join(self.drives)}, and their counts mix: stop one.", True)
 

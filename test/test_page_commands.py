@@ -98,6 +98,11 @@ MAKE_ELSEWHERE = {
     "mutation": "runs tests a hundred times",
     "clean": "would remove the environment that runs this",
 }  # fmt: skip
+BENCHMARKS = ("safety", "population", "fuzz", "endure")
+ALONE = pytest.mark.skipif(
+    "DRIVE_ID_ALONE" not in os.environ,
+    reason="needs the machine for itself, in real time: DRIVE_ID_ALONE=1 make test-all JOBS=0 ARGS='-k make_is'",
+)
 _SAME = re.compile(r"coverage ARGS='test/core test/files test/inspection ")  # other paths of tests
 
 
@@ -239,7 +244,10 @@ def test_the_commands_of_a_page_run(page, furniture, tmp_path, monkeypatch):
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("text", MAKE)
+@pytest.mark.parametrize(
+    "text",
+    [pytest.param(text, marks=[ALONE] if text.split()[0] in ("demo", "bench", *BENCHMARKS) else []) for text in MAKE],
+)
 def test_what_make_is_called_with_works(text, tmp_path_factory):
     folder = tmp_path_factory.getbasetemp() / "make"
     folder.mkdir(exist_ok=True)

@@ -99,6 +99,8 @@ def _sentences() -> dict[str, tuple[str, str]]:
 
 
 def _plain(value: Value) -> Value:
+    if isinstance(value, str):
+        return value.replace(_MISSING, "")  # names in damaged files hold anything
     return value.item() if hasattr(value, "item") else value  # of numpy
 
 

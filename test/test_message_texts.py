@@ -125,3 +125,7 @@ def test_clauses_and_nouns_are_used():
 def test_a_share_beyond_reason_is_told_as_such():
     assert "leaves more than 1000 % of the voltage" in Message("unexplained.fit", unexplained=7e40)
     assert "leaves 450 % of the voltage" in Message("unexplained.fit", unexplained=4.5)
+
+
+def test_a_name_of_a_damaged_file_is_no_missing_value():
+    assert "dri" in Message("another_drive.frame", topic="/resolver", before="drive", after="dri\0\0")

@@ -292,12 +292,12 @@ def repeated(path: Path, samples, times: int) -> Path:
 
 @pytest.mark.process
 def test_memory_does_not_grow_with_the_recording(simulation, tmp_path):
-    """A recording of 48 s against one of 16 s; the shorter one is too long to be kept as a whole already.
+    """A recording of 60 s against one of 20 s; the shorter one is too long to be kept as a whole already.
 
     Without the thread that reads ahead: how many of its few pieces wait at the peak is up to the scheduler.
     """
     measured = []
-    for times in (8, 24):
+    for times in (10, 30):
         path = repeated(tmp_path / f"bag_{times}", simulation.samples, times)
         environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
         ran = subprocess.run(

@@ -16,6 +16,8 @@ LONG = ("accuracy", "browser", "process", "slow")
 """The marks, with their reasons in ``pyproject.toml``."""
 LIMIT = 3.0
 """Processor seconds of an unmarked test on two 2.1 GHz cores of 2023: of some 4600 tests, 150 take more."""
+_SLACK = 2.0
+"""Factor of it beyond which the test fails: on busy cores, the same test takes up to twice as much."""
 _PACE = 0.05
 """Processor seconds of :func:`_work` on that machine."""
 _LISTED = 10
@@ -68,8 +70,8 @@ class ProcessorTime:
             own = spent() - item.stash[_BEGUN] - shared
             mark = next((name for name in LONG if item.get_closest_marker(name)), "unmarked")
             report.user_properties += [("processor time", (mark, own, shared))]
-            if report.passed and mark == "unmarked" and own > LIMIT:
-                limit = LIMIT * max(1.0, _work() / _PACE)
+            if report.passed and mark == "unmarked" and own > _SLACK * LIMIT:
+                limit = _SLACK * LIMIT * max(1.0, _work() / _PACE)
                 if own > limit:
                     report.outcome = "failed"
                     report.longrepr = (

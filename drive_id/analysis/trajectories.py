@@ -181,9 +181,9 @@ def _mtpv_angle(model: MachineModel, current: FloatArray) -> FloatArray:
             rising = cross(current[rows], middle) * before[rows, 0] >= 0
             low, high = np.where(rising, middle, low), np.where(rising, high, middle)
         i_d, i_q = current[rows] * np.cos(low), current[rows] * np.sin(low)
-        torque = model.torque(i_d, i_q)
+        reached = model.torque(i_d, i_q)
         # The grid of currents may know of next to no torque at so small a flux: more than twice as much tells no more.
-        share = torque / np.maximum(most(np.hypot(*model.psi_dq(i_d, i_q))), 0.5 * np.abs(torque))
+        share = reached / np.maximum(most(np.hypot(*model.psi_dq(i_d, i_q))), 0.5 * np.abs(reached))
         better = share > np.maximum(kept[rows], 1 - _LOST)
         best[rows[better]], kept[rows[better]] = low[better], share[better]
         turned[rows, first[rows]] = False

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from drive_id.core.signals.drive_watch import DriveWatch
+from drive_id.core.signals.drive_watch import LEAST_OF_ONE_DRIVE, DriveWatch
 from drive_id.core.signals.join import SECTIONS
 from drive_id.errors import DriveChangedError
 from drive_id.files.messages.block_codec import read_head
@@ -16,8 +16,6 @@ from drive_id.files.storage.bag import open_bag
 from drive_id.messages import Message
 from drive_id.types import NANOSECONDS
 
-_LEAST = 2000
-"""Samples of a part that is read, 0.2 s at 10 kHz: two drives that publish at once give parts of a block each."""
 _FEW = 3
 """Parts of a short recording that are read, however short: two restarts."""
 
@@ -71,7 +69,7 @@ def drive_parts(path: Path, signals: SignalMap, namespace: str = "") -> list[Dri
                 part.first_stamp = part.first_stamp if part.samples else head.stamp
                 part.samples += head.samples
                 part.last_stamp = head.stamp + round(head.samples * head.sample_period * NANOSECONDS)
-    long = [part for part in parts if part.samples >= _LEAST]
+    long = [part for part in parts if part.samples >= LEAST_OF_ONE_DRIVE]
     if not long and len(parts) <= _FEW:
         return parts
     if not long:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.signals.drive_watch import DriveWatch
+from drive_id.core.signals.drive_watch import LEAST_OF_ONE_DRIVE, DriveWatch
 from drive_id.errors import ConfigurationError, DriveChangedError
 from drive_id.files.messages.block_codec import read_head
 from drive_id.health import Level, Observation
@@ -15,8 +15,6 @@ from drive_id.messages import Message
 
 BEFORE, AFTER = "before", "after"
 """Parts that may be asked for."""
-_LEAST = 2000
-"""Samples of a part that is kept, 0.2 s at 10 kHz: two drives that publish at once give parts of a block each."""
 
 
 class LiveParts:
@@ -111,7 +109,7 @@ class LiveParts:
         before = self.present
         self.present = before.successor()
         before.advance()
-        if before.join.samples >= _LEAST:
+        if before.join.samples >= LEAST_OF_ONE_DRIVE:
             self._before, self._reason = before, reason
         self._reason = self._reason or reason
         return True

@@ -94,8 +94,16 @@ def pytest_configure(config):
         open_store(cache.mkdir("drive_id_store"))
 
 
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
 def pytest_collection_modifyitems(config, items):
-    """Put the longest work first and what divides best last, where workers share the tests."""
+    """Mark further cases, and put the longest work first and what divides best last, where workers share the tests."""
+    first = set()
+    for item in items:
+        if item.get_closest_marker("cases"):
+            name = item.nodeid.partition("[")[0]
+            if name in first:
+                item.add_marker("slow")
+            first.add(name)
     if hasattr(config, "workerinput"):
         order = [*dict.fromkeys(GROUPS.values()), ""]
         items.sort(key=lambda item: (order.index(group_of(item.nodeid)), item.nodeid.startswith(LAST)))

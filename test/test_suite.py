@@ -106,4 +106,4 @@ def test_marks_are_those_of_the_makefile():
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Attribute) and node.value.attr == "mark"
     }
-    assert used <= {*LONG, "essential", "parametrize", "skipif", "usefixtures", "filterwarnings", "timeout"}
+    assert used <= {*LONG, "cases", "essential", "parametrize", "skipif", "usefixtures", "filterwarnings", "timeout"}

@@ -93,6 +93,7 @@ def slopes(machine: CoEnergyMachine, i: np.ndarray, theta: float) -> tuple[np.nd
     return flux(d, q, theta), np.stack((by_d, by_q), axis=-1), by_theta
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("rpm", [1000.0, -400.0])
 def test_the_machine_matches_a_high_order_integrator_in_rotor_coordinates(rpm):
     """Iron loss with hysteresis, lagging flux, eccentricity, unequal phases, warm copper and magnets at once."""

@@ -63,6 +63,7 @@ def test_flat_machine_matches_a_high_order_integrator():
     compare_with_oracle(source, settings, flux_and_slopes, 2e-8)
 
 
+@pytest.mark.accuracy
 def test_turning_machine_matches_the_analytic_one():
     source = machine_map("ipm")
     analytic = MACHINES["ipm"]

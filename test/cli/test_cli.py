@@ -313,6 +313,7 @@ def test_one_of_two_drives_can_be_chosen(run, bag, simulation, tmp_path):
     assert_one_sentence(ran, "no topic /drive_3/phase_currents")
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("order", [[0, 2, 1], [1, 0, 2], [2, 1, 0], [1, 2, 0], [2, 0, 1]], ids=str)
 def test_currents_in_the_wrong_order_of_phases_are_told(run, simulation, tmp_path, order):
     samples = simulation.samples.part(0, 10_000)
@@ -836,6 +837,7 @@ def test_a_fit_leaves_a_report_and_a_new_one_without_it_none(run, bag):
     assert "report.html" not in tree(Path("results"))
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(
     ("error", "said"),
     [

@@ -284,6 +284,7 @@ def test_small_controllers():
     assert odrive["axis0.config.motor.motor_model_l_q"] == pytest.approx(l_q, rel=1e-2)
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(
     ("name", "suffix", "axis"),
     [("csv", ".csv", None), ("machine", ".npz", None), ("motulator", ".npz", None), ("gradnet-data", ".npz", None),

@@ -35,6 +35,7 @@ def transient(inverter):
     return replace(found, drive=known), samples
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(
     ("name", "inverter", "accuracy"), [("fmu", "none", 2e-5), ("fmu-2", "none", 2e-5), ("fmu", "dead_time", 4e-5)]
 )
@@ -91,6 +92,7 @@ class Opened:
         self.unit.freeInstance()
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("name", FORMATS)
 def test_valid_and_one_model_in_both_interfaces(name, tmp_path):
     path = tmp_path / "drive.fmu"
@@ -107,6 +109,7 @@ def test_valid_and_one_model_in_both_interfaces(name, tmp_path):
     assert by_us["inside"] == 1.0
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("name", FORMATS)
 def test_sources_compile_strictly(name, tmp_path):
     (tmp_path / "drive.fmu").write_bytes(content_of(result(), name)[0])

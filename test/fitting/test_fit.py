@@ -31,6 +31,7 @@ def cells(table) -> dict[str, tuple[str, ...]]:
     return {row[0]: tuple(row[1:]) for row in zip(*columns, strict=True)}
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(("machine", "error"), [("ipm", 2e-3), ("spm", 4e-3), ("pmsyrm", 2e-2)])
 def test_simulate_then_fit_recovers_the_truth(machine, error, tmp_path):
     """Ideal but for an inverter of the model's own shape; the pmsyrm saturates more sharply than 8 splines can bend."""

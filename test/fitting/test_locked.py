@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,20 +26,20 @@ def locked(machine, position, **settings):
     return simulate(machine, 8.0, speed=0.0, noise=1e-3, seed=2, settings=settings)
 
 
-@pytest.fixture(scope="module")
-def recordings():
-    return {machine: locked(machine, position) for machine, position in POSITIONS.items()}
+@cache
+def recorded(machine):
+    return locked(machine, POSITIONS[machine])
 
 
-@pytest.fixture(scope="module")
-def results(recordings):
-    return {machine: drive_id.fit(samples, settings=LOCKED) for machine, samples in recordings.items()}
+@cache
+def fitted(machine):
+    return drive_id.fit(recorded(machine), settings=LOCKED)
 
 
 @pytest.mark.accuracy
 @pytest.mark.parametrize("machine", POSITIONS)
-def test_the_flux_at_the_position_of_the_rotor_is_found(results, recordings, machine):
-    result, found = results[machine], results[machine].flux_map
+def test_the_flux_at_the_position_of_the_rotor_is_found(machine):
+    result, found = fitted(machine), fitted(machine).flux_map
     true_machine = build_machine(machine_map(machine), drive_id.SimulationSettings())
     grid, inside = found.grid(), found.inside
     i_dq = grid[inside & (np.hypot(*np.moveaxis(grid, -1, 0)) < 0.98 * true_machine.i_max)]
@@ -51,13 +52,13 @@ def test_the_flux_at_the_position_of_the_rotor_is_found(results, recordings, mac
     assert np.sqrt(np.mean((mean - true) ** 2)) > 2 * np.sqrt(np.mean((psi - true) ** 2))  # which it is not
     assert 0.85 < np.mean(np.abs(psi - true) < 1.96 * sigma) <= 1.0
     assert np.abs(found.psi_dq(0.0, 0.0)).max() < 2e-4 * np.abs(true).max()
-    assert abs(result.resistance - recordings[machine].truth.resistance) < 3 * result.sigma_resistance
+    assert abs(result.resistance - recorded(machine).truth.resistance) < 3 * result.sigma_resistance
     assert [said.code for said in result.warnings] == ["locked_rotor"]
     assert np.cos(result.warnings[0].values["angle"] - POSITIONS[machine]) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_what_needs_a_turning_machine_is_left_out_or_refused(results, tmp_path):
-    result = results["ipm"]
+def test_what_needs_a_turning_machine_is_left_out_or_refused(tmp_path):
+    result = fitted("ipm")
     names = " ".join(quantity.name for quantity in result.headline)
     assert "L_d at zero current" in names
     assert "ψ_PM" not in names
@@ -77,16 +78,16 @@ def test_what_needs_a_turning_machine_is_left_out_or_refused(results, tmp_path):
         drive_id.import_map(tmp_path / "result" / "flux_map.npz")
 
 
-def test_it_is_compared_with_its_like_only(results):
+def test_it_is_compared_with_its_like_only():
     turning = drive_id.fit(simulate("ipm", 2.0, noise=1e-3, seed=1))
     with pytest.raises(ConfigurationError, match="of a locked rotor"):
-        drive_id.compare(results["ipm"], turning)
-    assert drive_id.compare(results["ipm"], results["ipm"]).torque is None
+        drive_id.compare(fitted("ipm"), turning)
+    assert drive_id.compare(fitted("ipm"), fitted("ipm")).torque is None
 
 
 @pytest.mark.accuracy
-def test_an_offset_of_the_speed_and_a_noisy_resolver_are_no_motion(recordings):
-    samples = recordings["ipm"]
+def test_an_offset_of_the_speed_and_a_noisy_resolver_are_no_motion():
+    samples = recorded("ipm")
     rng = np.random.default_rng(5)
     noisy = replace(
         samples, speed=samples.speed + 0.05, angle=samples.angle + np.deg2rad(0.3) * rng.standard_normal(len(samples))
@@ -94,10 +95,10 @@ def test_an_offset_of_the_speed_and_a_noisy_resolver_are_no_motion(recordings):
     assert drive_id.fit(noisy, settings=LOCKED).warnings[0].code == "locked_rotor"
 
 
-def test_recordings_at_several_positions_are_refused(recordings):
+def test_recordings_at_several_positions_are_refused():
     other = locked("ipm", 1.9)
     with pytest.raises(DataError, match=r"varies by 91\.7 degrees electrical, so it was not locked at one position"):
-        drive_id.fit([recordings["ipm"], other], settings=LOCKED)
+        drive_id.fit([recorded("ipm"), other], settings=LOCKED)
 
 
 @pytest.mark.accuracy
@@ -112,8 +113,8 @@ def test_an_information_file_keeps_what_it_was_checked_for(tmp_path):
             drive_id.fit(tmp_path / f"{method}.info", settings=drive_id.FitSettings(method=other))
 
 
-def test_other_methods_name_it_and_it_refuses_a_turning_rotor(recordings):
+def test_other_methods_name_it_and_it_refuses_a_turning_rotor():
     with pytest.raises(StandstillError, match="choose method locked"):
-        drive_id.fit(recordings["ipm"])
+        drive_id.fit(recorded("ipm"))
     with pytest.raises(DataError, match="it was not locked at one position: clamp it"):
         drive_id.fit(simulate("ipm", 1.0), settings=LOCKED)

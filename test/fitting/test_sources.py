@@ -81,6 +81,7 @@ def test_information_files_are_fitted_like_their_bags_together(infos, together):
     assert_same_fit(fit_bags(Sources(infos), None, RADIUS), together)
 
 
+@pytest.mark.accuracy
 def test_whatever_the_order_and_the_mixture(bags, infos, together, tmp_path):
     accumulate_bags(Sources([bags[2], bags[0]]), tmp_path / "two.info", RADIUS)
     for sources in ([infos[2], infos[0], infos[1]], [bags[0], infos[2], bags[1]], [tmp_path / "two.info", bags[1]]):

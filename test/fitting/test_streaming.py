@@ -66,6 +66,7 @@ def assert_same_as_in_memory(bags, settings=SETTINGS, signals=None, **options):
     return found, recording
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("i_max", [None, 310.0])
 @pytest.mark.parametrize("method", ["psm", "joint"])
 @pytest.mark.usefixtures("long")
@@ -142,6 +143,7 @@ def one_without_references(tmp_path_factory):
     return folder / "known", folder / "without"
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("order", [slice(None), slice(None, None, -1)])
 @pytest.mark.parametrize("parts", ["long", "short"])
 def test_one_recording_without_references_gives_one_radius_on_every_way_in(

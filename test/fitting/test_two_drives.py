@@ -64,6 +64,7 @@ def fitted(path, **settings):
     return fit_bags(Sources([path]), None, replace(SETTINGS, **settings))
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("other", ["double", "more", "other"])
 def test_an_exchanged_drive_is_refused(drives, tmp_path, other):
     path = write(tmp_path / "bag", [drives["first"], drives[other]])
@@ -77,6 +78,7 @@ def test_an_exchanged_drive_is_refused(drives, tmp_path, other):
     assert not (tmp_path / "sums").exists()
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("again", ["first", "hot"])
 @pytest.mark.parametrize("gap", [-3600.0, 0.5, 1000.0])
 def test_a_restarted_drive_gives_one_map_of_both_parts(drives, tmp_path, again, gap):

@@ -454,6 +454,7 @@ def clocked(table, form, separator, decimal):
 SCOPE = "Model,MSO58\nSample Interval,1e-4\nRecord Length,6000\nZero Index,0\nVertical Units,A,A,A,V,V,V,rad\n\n"
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("name", ["oscilloscope", "clock", "German date", "UTF-16", "white space", "numbered rows"])
 def test_drafts_for_text_as_instruments_write_it(name, tmp_path, samples):
     table = columns(samples.part(0, 6000), id_ref=None, iq_ref=None, omega=None)

@@ -119,6 +119,7 @@ def test_logs_of_other_tools(tool, tmp_path, samples, columns):
 SECONDS = {"ROS 2": ("sec", "nanosec"), "ROS 1": ("header.stamp.secs", "header.stamp.nsecs"), "C": ("ts_s", "ts_ns")}
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("names", SECONDS)
 def test_seconds_and_nanoseconds_are_one_time(names, tmp_path, samples, columns):
     ns = 1_700_000_000_900_000_000 + 100_000 * np.arange(N)
@@ -131,6 +132,7 @@ def test_seconds_and_nanoseconds_are_one_time(names, tmp_path, samples, columns)
     assert found.stamp[0] == ns[0]
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("writer", ["CSV", "CSV of three", "LabVIEW"])
 def test_captures_whose_time_starts_again_are_runs(writer, tmp_path, samples, columns):
     parts = 3 if writer == "CSV of three" else 2

@@ -161,6 +161,7 @@ def test_one_goal_waits_and_more_are_busy(ros, client):
     assert (status, result.flux_map.method) == (SUCCEEDED, "psm")
 
 
+@pytest.mark.slow  # waits for two fits; the cancelled one below is quick
 def test_a_waiting_goal_can_be_cancelled(ros, client):
     first, second = (Goal(ros, client, "bag", method=method) for method in ("full", "psm"))
     second.handle.cancel_goal_async()
@@ -195,6 +196,7 @@ def test_a_client_that_vanishes_leaves_nothing_behind(ros, node):
     assert folders(ros) == before
 
 
+@pytest.mark.slow  # two nodes, one after the other
 def test_the_quota_and_the_last_map_after_a_restart(ros, node, parameters):
     from drive_id_msgs.msg import FluxMap
 

@@ -76,6 +76,7 @@ def test_the_current_follows_the_references(drive):
     assert_contiguous(drive.messages["current_reference"], "d")
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("trajectory", ["stair", "spiral"])
 def test_other_trajectories(drive, trajectory):
     slow = {"duration": 2.0, "spiral_turns": 5.0, "dwell_time": 0.05, "stair_points": 5}
@@ -96,6 +97,7 @@ def test_stop(drive):
     drive.wait_for_message("Stopped on request.")
 
 
+@pytest.mark.slow  # one of several hazards that end in the same way
 def test_a_change_of_parameters_stops(drive):
     drive.run_without_end()
     assert drive.set_parameters(i_max=50.0).successful
@@ -108,6 +110,7 @@ def test_a_change_of_parameters_stops(drive):
     assert np.hypot(*drive.references()[1].T).max() <= 50.0
 
 
+@pytest.mark.slow  # one of several hazards that end in the same way
 def test_the_speed_leaves_its_band(drive):
     assert drive.set_parameters(speed_min=150.0, speed_max=250.0).successful  # 500 rpm are 209 rad/s
     drive.run_without_end()
@@ -135,6 +138,7 @@ def test_the_current_exceeds_its_limit(drive):
     drive.start()
 
 
+@pytest.mark.slow  # one of several hazards that end in the same way
 def test_a_clock_that_is_paused_trips(drive):
     """Neither side has time, so the references never come due: what runs no more must not be said to run."""
     assert drive.set_parameters(watch_timeout=3.0).successful
@@ -149,6 +153,7 @@ def test_a_clock_that_is_paused_trips(drive):
     drive.clear()
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("step", [1.5, -1.5])
 def test_a_step_of_the_clock_trips(drive, step):
     """That of publisher and drive, by more than lead_time: what was published ahead is over, or far ahead."""
@@ -242,6 +247,7 @@ def test_signals_end_the_publisher_with_zero_current():
         assert "Traceback" not in ros.outputs()
 
 
+@pytest.mark.slow  # one of several hazards that end in the same way
 def test_a_publisher_that_vanishes_leaves_no_current_behind():
     """References run out; the drive ramps down by itself."""
     with ros_bench() as ros:

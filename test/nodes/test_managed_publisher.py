@@ -120,6 +120,7 @@ class Managed:
         self.node.end()
 
 
+@pytest.mark.slow  # a table of all states, each of which the state machine has in test/core
 def test_without_autostart_each_state_permits_what_it_should(ros):
     managed = Managed(ros, autostart=False)
     assert managed.state() == "unconfigured"

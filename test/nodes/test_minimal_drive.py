@@ -92,6 +92,7 @@ def publish_now(drive, publisher, block):
     publisher.publish(block)
 
 
+@pytest.mark.slow  # one of several hazards that end in the same way
 def test_references_of_somebody_else(ready):
     """The drive itself notices that two sessions meet."""
     statuses = statuses_of(ready)
@@ -154,6 +155,7 @@ def test_references_in_the_stator_frame(ready):
     ready.ros.wait(lambda: ready.clock.now > until, "a while")
 
 
+@pytest.mark.slow  # one of several hazards that end in the same way
 def test_a_publisher_that_vanishes_leaves_no_current_behind_nor_a_drive_for_whoever_comes_first(ready):
     ready.run_without_end(10.0)
     ready.publisher.vanish()

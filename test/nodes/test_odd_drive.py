@@ -71,6 +71,7 @@ def test_a_current_that_nobody_commands_is_told(drive):
     assert reply.message.endswith("But the drive does not go to zero current: use the emergency stop.")
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(
     ("wrong", "reason"),
     [
@@ -85,6 +86,7 @@ def test_a_limit_that_the_status_exceeds_trips(drive, wrong, reason):
     drive.asks("clear_fault", lambda reply: reply.message == f"Not cleared: {reason}", "a refusal")
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(
     ("wrong", "value", "reason"),
     [
@@ -146,6 +148,7 @@ def buttons(drive):
         button.leave()
 
 
+@pytest.mark.slow  # two are a special case of one, which test_minimal_drive.py has
 def test_of_two_emergency_stops_each_trips_and_none_releases_the_other(drive, buttons):
     for one in buttons:
         drive.runs()
@@ -158,6 +161,7 @@ def test_of_two_emergency_stops_each_trips_and_none_releases_the_other(drive, bu
         drive.clear()
 
 
+@pytest.mark.slow  # two are a special case of one, which test_minimal_drive.py has
 def test_the_silence_of_each_of_two_emergency_stops_trips(drive, buttons):
     from rcl_interfaces.srv import SetParameters
     from rclpy.parameter import Parameter

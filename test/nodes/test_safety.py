@@ -96,5 +96,5 @@ def test_a_publisher_held_up_for_3_s_sends_no_current_when_it_goes_on(safety, so
 
 @pytest.mark.process
 def test_random_scripts(safety, sound):
-    for number in range(8):
+    for number in range(4):  # `make safety` tries as many as one likes
         safety.script(sound, 7, number, ALLOWANCE)

@@ -82,6 +82,7 @@ def half(flux_map):
     return replace(flux_map, inside=flux_map.inside & (flux_map.i_q > 0))
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("dpi", [140, 200])  # letters of whole pixels are widest, relative to the page, at 140
 @pytest.mark.parametrize("which", ["maps", "diagnostics"])
 def test_the_picture_has_content_and_nothing_is_cut_off(which, dpi, request, tmp_path):
@@ -253,6 +254,7 @@ def test_a_name_of_any_characters_is_printed(drive):
         assert size(rendered(draw_flux_maps(drive.flux_map, drive.i_max, None, Caption(name))))
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("figure_format", ["png", "svg", "pdf"])
 def test_formats(drive, excerpts, figure_format):
     pictures = result_pictures(drive, excerpts, Caption("ipm"), figure_format=figure_format)
@@ -399,6 +401,7 @@ def test_unused_memory_in_surfaces_is_no_reason_to_warn(paper, drive, simulation
     assert size(rendered(figure, dpi=120)) == (1320, 1080)
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("component", ["d", "q"])
 def test_the_comparison(paper, drive, simulation, component):
     worse = replace(drive.flux_map, psi_d=1.1 * drive.flux_map.psi_d)

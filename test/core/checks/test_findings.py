@@ -124,6 +124,7 @@ READINGS = {
 }  # fmt: skip
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(
     ("case", "drive"),
     [
@@ -156,6 +157,7 @@ def test_voltages_in_the_proposed_order_are_right(ipm):
     assert found(replace(shifted, u_abc=shifted.u_abc[:, [2, 0, 1]])) == ()
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("drive", ["ipm", "spm", "slotless"])
 @pytest.mark.parametrize("shift", [0, 1, 2])
 @pytest.mark.parametrize("sign", [1, -1])
@@ -288,6 +290,7 @@ def test_a_rotor_that_turns_far_from_sample_to_sample():
     assert "coarse_sampling" in {finding.code for finding in found(samples)}
 
 
+@pytest.mark.accuracy
 def test_a_speed_that_drifts():
     drifting = recorded("ipm", 500.0, seconds=10.0)
     n = len(drifting)
@@ -331,6 +334,7 @@ def test_no_voltage(ipm):
     assert (finding.code, finding.kind) == ("no_voltage", "error")
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(("factor", "said"), [(1e3, "(mA for A)"), (1 / 300, "(per unit for A)"), (0.7071, "(rms for")])
 def test_the_scale_of_currents_with_references(factor, said):
     samples = run_experiment(MACHINES["ipm"].to_map(), SimulationSettings(), seconds=2.0).samples
@@ -436,6 +440,7 @@ def test_recordings_at_several_speeds_and_of_short_runs_are_good(ipm):
     assert found(replace(ipm, run_starts=np.arange(0, len(ipm), 250))) == ()
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("case", ["clockwise", "currents a, b", "8 for 4 pole pairs"])
 def test_pieces_and_arrays_are_judged_alike(ipm, case):
     """Live samples and bags come in pieces."""
@@ -460,6 +465,7 @@ def test_findings_travel_with_the_evidence(ipm):
     assert finding in identify([samples], settings).report.warnings
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("drive", ["ipm", "spm"])
 def test_a_loss_of_voltage_is_located(drive):
     samples = recorded(*DRIVES[drive][:2], seconds=5.0)

@@ -82,6 +82,7 @@ def test_a_locked_rotor_is_refused_with_the_reason():
         checked(samples)
 
 
+@pytest.mark.accuracy
 def test_the_same_swing_is_accepted_while_it_creeps():
     assert checked(swung("ipm", frequency=60.0, mean_speed=60.0, seconds=6.0)) == []
 
@@ -105,6 +106,7 @@ def test_reversals_within_a_turn_are_no_offset():
     assert checked(samples) == []
 
 
+@pytest.mark.accuracy
 def test_an_offset_is_still_found_on_a_free_shaft():
     samples = swung("pmsyrm", seconds=8.0, frequency=20.0, mean_speed=900.0)
     i_max = float(np.abs(samples.i_abc).max())
@@ -116,7 +118,7 @@ def test_an_offset_is_still_found_on_a_free_shaft():
 def test_an_offset_of_the_sensors_is_traced_in_the_flux():
     """The mean slope of the drop, which does not act on a constant voltage here, gave 0.11 ± 0.004 A of 1 A."""
     drive = replace(DRIVE, inverter="tanh", inverter_voltage=6.5, current_offset=(1.0, -0.5, -0.5), seed=1)
-    samples = simulate_swing(machine_map("ipm"), drive, Swing(), 20.0).samples
+    samples = simulate_swing(machine_map("ipm"), drive, Swing(), 10.0).samples
     found = drive_id.fit(samples, settings=drive_id.FitSettings(pole_pairs=3, harmonic_orders=(6, 12)))
     offset = {each.name: each for each in found.calibrations}["current_offset_alpha"]
     assert offset.applied

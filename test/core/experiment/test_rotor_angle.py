@@ -65,6 +65,7 @@ def test_exchanged_phases_and_an_angle_of_the_shaft_are_noticed():
     assert found.angle_offset == pytest.approx(-1.2, abs=0.005)
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("share", [0.1, 0.16, 0.3, 0.6, 0.9])
 def test_a_weakly_aligned_machine_is_refused(share):
     """The rotor of this machine settles up to 79 degrees beside the vector, and both ways on the same side."""

@@ -103,6 +103,7 @@ def test_resistive_voltage_and_drop_over_a_sample_agree_with_integration_in_time
         assert abs(found - expected) < 0.1 * abs(expected)  # the drop's step falls within one of eight parts
 
 
+@pytest.mark.cases
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("inductance", [3e-5, 1e-6, 0.0])
 def test_what_cannot_be_found_by_iteration_is_left_out(inductance):

@@ -163,6 +163,7 @@ def test_voltages_that_slip_within_a_recording_are_refused(samples, late, word):
         identify([part, replace(part, u_abc=u_abc)], FULL)
 
 
+@pytest.mark.accuracy
 def test_voltages_late_throughout_one_recording_are_no_slip(samples):
     assert fitted(replace(samples, u_abc=np.roll(samples.u_abc, 1, axis=0))).assessment.jump is None
 
@@ -255,6 +256,7 @@ def test_conditions_are_one_for_each_recording(samples):
         replace(FULL, temperatures=(20.0, 30.0), u_dc=(400.0,))
 
 
+@pytest.mark.accuracy
 def test_temperatures_separate_winding_and_magnet():
     def hot_flux(i_dq):
         return reciprocal_flux(i_dq) - np.array([0.004, 0.0])
@@ -268,6 +270,7 @@ def test_temperatures_separate_winding_and_magnet():
     assert np.all(errors(found) < 2e-3)
 
 
+@pytest.mark.accuracy
 def test_the_drop_scales_with_the_dc_link():
     low = record(drop=even_drop, duration=3.0, noise=0.3)
     high = record(drop=lambda i: 1.5 * even_drop(i), duration=3.0, noise=0.3, speed=-260.0)

@@ -296,6 +296,7 @@ def test_merging_is_accumulating_together(model, samples):
         np.testing.assert_array_equal(one.i_dq, two.i_dq)
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("most", [window_sums.MOST_KEPT, 700])
 def test_a_state_restores_all_of_it(model, samples, monkeypatch, most):
     monkeypatch.setattr(window_sums, "MOST_KEPT", most)

@@ -65,6 +65,7 @@ def assert_monotone(found, rng, count=10_000):
     assert (rise >= 0.999 * found.convexity.least_inductance * np.sum(np.diff(points, axis=0) ** 2, axis=1)).all()
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("seed", range(4))
 def test_any_machine_gives_a_monotone_map_close_to_the_truth(seed):
     rng = np.random.default_rng(seed)
@@ -130,6 +131,7 @@ def test_noise_on_a_saturated_machine_is_kept_from_folding_the_map():
     assert rms(found.psi(i) - machine.psi(i)) < 0.025
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_beyond_the_data_slopes_do_not_rise_and_the_flux_stays_near(noise):
     rng = np.random.default_rng(9)

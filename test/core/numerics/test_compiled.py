@@ -82,6 +82,7 @@ else:
 """
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(
     ("kernel", "call"),
     [

@@ -83,6 +83,7 @@ def test_a_limit_costs_less_than_five_milliseconds():
     assert (time.perf_counter() - start) / 20 < 5e-3
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("method", ["psm", "joint", "full"])
 def test_a_fit_by_evidence_and_conclusion_has_one_thread(method, monkeypatch):
     """As the live node does it, without :func:`identify`."""

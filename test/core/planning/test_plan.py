@@ -171,6 +171,7 @@ def test_predictions_fall_with_the_root_of_the_time_and_rise_with_the_noise(monk
     assert predict(model, [once, once], MACHINE, 2e-3).values() == pytest.approx(base * math.sqrt(2), rel=1e-5)
 
 
+@pytest.mark.accuracy
 def test_predictions_come_true(monkeypatch):
     """The scatter of fits to noisy samples is the predicted one."""
     monkeypatch.setattr(prediction_module, "CURVE_ERROR", 0.0)

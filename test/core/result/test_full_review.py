@@ -150,6 +150,7 @@ def test_a_slow_rotor_is_told():
     assert "while a window lasts" in told(simulate(speeds=(10.0,)).samples)
 
 
+@pytest.mark.accuracy
 def test_without_generating_currents_there_is_no_mirror(good):
     i_dq = frames.to_dq(good.samples.i_abc, good.samples.angle)
     motoring = good.samples

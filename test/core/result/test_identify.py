@@ -79,6 +79,7 @@ def test_a_polynomial_model_beats_the_linear_one_on_a_saturating_machine(clean):
     assert np.all(polynomial < 0.2 * linear)
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("speed", [-209.0, 42.0, 1250.0])
 def test_any_speed_and_direction(speed):
     result = identify([record(drop=tanh_drop, speed=speed, duration=4.0)], FitSettings("joint"))

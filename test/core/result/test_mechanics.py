@@ -94,12 +94,14 @@ def test_friction_that_changes_its_sign_slowly_is_not_taken_for_less(seed):
     assert abs(found.friction - 6.4) < 2 * found.sigma_friction
 
 
+@pytest.mark.accuracy
 def test_a_load_is_told_from_friction_where_the_shaft_reverses():
     found = fitted(swung(load_torque=2.0))
     assert found.load == pytest.approx(2.0, rel=0.1)
     assert found.friction == pytest.approx(1.27, rel=0.1)
 
 
+@pytest.mark.accuracy
 def test_cogging_is_visible():
     found = fitted(swung(10.0, cogging_torque=2.0))
     assert [harmonic.order for harmonic in found.cogging] == [6]
@@ -114,6 +116,7 @@ def test_a_known_inertia_closes_the_common_gain(swing):
     assert found.friction == pytest.approx(1.27, rel=0.05)
 
 
+@pytest.mark.accuracy
 def test_a_disc_closes_the_common_gain_and_tells_the_inertia(swing):
     disc = 0.5 * INERTIA
     with_disc = swung(inertia=INERTIA + disc)

@@ -30,6 +30,7 @@ def some_speeds(rng, count, fastest=370.0):
     return rng.choice([-1, 1], count) * rng.uniform(0.15, 1, count) * fastest
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(("name", "count", "bound"), [("ipm", 60, 0.004), ("spm", 60, 0.004), ("pmsyrm", 60, 0.02)])
 def test_sixty_points_give_maps_resistance_and_drop(name, count, bound):
     drive, rng = machine(name), np.random.default_rng(7)
@@ -146,6 +147,7 @@ def test_two_speeds_tell_a_delay_from_the_fluxes_and_one_does_not():
         assert any("frame of the voltages is behind" in warning for warning in found.report.warnings) == told
 
 
+@pytest.mark.accuracy
 def test_an_angle_that_is_off_is_said():
     drive, rng = machine("ipm"), np.random.default_rng(9)
     data = telemetry(drive, disc_points(rng, drive.i_max, 40), some_speeds(rng, 40), rng=rng)

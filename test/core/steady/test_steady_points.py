@@ -96,6 +96,7 @@ def test_bad_arrays_are_refused(arrays, error, said):
         OperatingData(*arrays)
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(("frequency", "rate"), [(7.3, 10_000.0), (7.3, 2000.0), (1.0, 10_000.0)])
 def test_a_moving_current_in_a_fast_log_is_no_rest(frequency, rate):
     """The derivative of the fluxes, unknown to the equations, takes percents of the voltage."""

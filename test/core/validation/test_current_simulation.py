@@ -65,6 +65,7 @@ def short_run():
     return simulate_current(samples, TensorSpline(axis, axis), gamma, harmonics, 0.02, drop)
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(("name", "rpm"), [("ipm", 500.0), ("spm", 3000.0), ("pmsyrm", -700.0)])
 def test_the_true_model_gives_the_measured_current(name, rpm):
     simulation = experiment(name, rpm)

@@ -104,6 +104,7 @@ def test_long_logs_are_read_part_by_part(name, tmp_path, columns):
     assert {topic.name.split(": ")[-1] for topic in info.topics} >= {column.name for column in wanted}
 
 
+@pytest.mark.cases
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # asammdf, after it refused a file
 @pytest.mark.parametrize("name", WRITERS)
 def test_damaged_files_are_refused_in_one_sentence(name, tmp_path, columns):

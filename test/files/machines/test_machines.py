@@ -201,6 +201,7 @@ def syre(kind: str, flat: bool = True, turning: bool = True, **data: Any) -> dic
     return {"motorModel": model}
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("kind", ["SR", "PM"])
 @pytest.mark.parametrize("turning", [False, True])
 def test_syre(tmp_path, kind, turning):
@@ -242,6 +243,7 @@ def test_syre_without_ratings_and_with_a_closed_period(tmp_path):
     assert len(found.theta) == 48
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(
     ("content", "message"),
     [

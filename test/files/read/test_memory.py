@@ -26,6 +26,7 @@ def read(path, more):
     return sum(len(piece.samples) - piece.continues for piece in bag_pieces(path, signals, threads=False))
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("write", [write_parquet, write_csv])
 def test_a_log_larger_than_memory_is_refused(write, tmp_path, monkeypatch):
     theta = np.round(0.02 * np.arange(N), 4)

@@ -80,6 +80,7 @@ def test_nothing_of_a_complete_recording_is_lost(disk, tmp_path, write):
         assert {name: data for name, data in tree(state).items() if ".partial" not in name} == there
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("split", [False, True])
 def test_what_was_flushed_to_the_disk_can_be_recovered(disk, tmp_path, split):
     (tmp_path / "disk").mkdir()

@@ -33,6 +33,7 @@ def fifo_journal(folder: Path) -> None:
     os.mkfifo(folder / "x_0.db3-wal")
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("make", [fifo_metadata, device_metadata, fifo_file, fifo_journal])
 def test_a_request_for_what_blocks_is_answered_and_so_is_the_next(tmp_path, bag, make):
     data = tmp_path / "data"

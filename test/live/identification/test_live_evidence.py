@@ -59,6 +59,7 @@ def assert_same(one, other):
     np.testing.assert_array_equal(one.flux_map.inside, other.flux_map.inside)
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("method", ["psm", "joint"])
 def test_snapshots_are_the_offline_fit_of_what_was_there(samples, method):
     live = LiveEvidence(SETTINGS)

@@ -68,6 +68,7 @@ def assert_two(identifier, words):
     assert any("are of two drives" in text for text in [identifier.health("", [[]] * 3).message, *said])
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize(
     ("options", "words"),
     [

@@ -7,12 +7,24 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, Delaunay
 
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _STRAY_SHARE = 0.1  # of the typical count of a node, below which samples beyond the rim count as stray
 _ROUNDING = 1 + 1e-9  # holes are mostly a whole number of nodes wide, which must not depend on rounding
+
+
+def enclosed(inside: BoolArray) -> BoolArray:
+    """Tell (D, Q) which nodes lie on straight lines between those of a mask: its convex hull."""
+    points = np.argwhere(inside)
+    spread = np.linalg.matrix_rank(points - points[0]) if len(points) else 0
+    if spread < 2:  # no point, one, or a line
+        return np.array(inside)
+    nodes = np.argwhere(np.ones_like(inside))
+    within = Delaunay(points[ConvexHull(points).vertices]).find_simplex(nodes) >= 0
+    return np.asarray(within.reshape(inside.shape) | inside)
 
 
 class Visits:

@@ -28,7 +28,7 @@ class ErrorModes:
     standard error.
     """
 
-    psi_d: NDArray[np.float32]  # (M, D, Q), Wb; 0 where there are no data
+    psi_d: NDArray[np.float32]  # (M, D, Q), Wb; 0 where data do not even enclose the current
     psi_q: NDArray[np.float32]  # likewise
     resistance: FloatArray  # (M,), ohm
     inverter_voltage: FloatArray  # (M, C), V
@@ -54,11 +54,11 @@ def error_modes(
     changes : (P, B) float
         Of the flux parameters; ``changes @ changes.T`` is their covariance.
     rows : BasisRows
-        The basis at the N grid points with data.
+        The basis at N grid points.
     sigma : (D, Q, 2) float
         Standard errors of the fluxes, Wb.
     inside : (D, Q) bool
-        The grid points with data.
+        Those grid points.
     others : (2 + C, B) float, (2 + C,) float
         Changes of resistance, voltage error and inverter curve, and their standard errors.
     frame : callable, optional

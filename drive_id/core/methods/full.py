@@ -25,7 +25,7 @@ from drive_id.core.full.resolution import FLUX_CELLS
 from drive_id.core.full.standard_errors import sigma as fitted_sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE, Windows
-from drive_id.core.maps.coverage import smoothed
+from drive_id.core.maps.coverage import enclosed, smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import BasisRows, TensorSpline, fitted, sites
 from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Limits, SimulationModel
@@ -134,7 +134,7 @@ class FullMethod:
             magnet_coefficient=_magnet_coefficient(fit),
             statements=(*_statements(evidence, fit, inside, found), *_on_effort(fit, information)),
             fit=earlier,
-            error_modes=_error_modes(frame, grid, inside, sigma, current, deviation),
+            error_modes=_error_modes(frame, grid, enclosed(inside), current, deviation),
         )
 
 
@@ -299,9 +299,12 @@ def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def _error_modes(
-    frame: TrueFrame, grid: FloatArray, inside: BoolArray, sigma: FloatArray, current: FloatArray, drops: FloatArray
+    frame: TrueFrame, grid: FloatArray, enclosed: BoolArray, current: FloatArray, drops: FloatArray
 ) -> ErrorModes | None:
-    """Return the joint errors; ``drops`` (C,) are the standard errors of the inverter's curve at currents (C,), A."""
+    """Return the joint errors, also where data only enclose the current, for a figure may need the map there.
+
+    ``drops`` (C,) are the standard errors of the inverter's curve at currents (C,), A.
+    """
     fit, changes = frame.fit, frame.fit.assessment.changes
     columns, shapes = fit.model.phase_columns(), fit.model.shapes(current)
     curve = shapes @ changes[columns].mean(axis=1)
@@ -309,9 +312,9 @@ def _error_modes(
     errors = np.concatenate([[fit.sigma(RESISTANCE)], drops[-1:], drops])
     return error_modes(
         changes[fit.model.map],
-        frame.rows(grid[inside]),
-        sigma,
-        inside,
+        frame.rows(grid[enclosed]),
+        _sigma(frame, grid, enclosed),
+        enclosed,
         (others, errors),
         lambda psi: rotated(psi, frame.angle),
     )

@@ -21,6 +21,7 @@ _RADII = (1.0, 0.98, 0.95, 0.9, 0.8, 0.7, 0.6, 0.5)
 """Of the circle of the peak torque, in i_max: the first whose MTPA has data around it."""
 _SLOPES = 0.95
 """The largest of these for inductances: nearer to the edge of the data, slopes are off by up to 6 %."""
+_ENCLOSED = " No sample lies there: the map and its error follow from those around."
 _WORST = 0.5
 """Standard error of an inductance, relative, beyond which it is not told."""
 
@@ -29,11 +30,12 @@ def headline(
     drive: IdentifiedDrive, *, pole_pairs: int | None = None, temperature: float | None = None,
     rated: float | None = None,
 ) -> tuple[Quantity, ...]:  # fmt: skip
-    """Return what is asked for first; what the data do not cover, or what is not known, is left out.
+    """Return what is asked for first; what is not known is left out.
 
-    Inductances away from zero current need the standard errors of method ``full``, and are told at the rated current,
-    A, or else at 95 % of i_max. The standard errors of inductances and torque need the joint errors of a fit. Without
-    pole pairs there is no torque. The temperature is that to which R refers, degrees Celsius, where known.
+    Where samples only enclose a current, the standard error tells how well the map is known there: such a value needs
+    the joint errors of a fit, as inductances away from zero current do. These are told at the rated current, A, or else
+    at 95 % of i_max. Without pole pairs there is no torque. The temperature is that to which R refers, degrees Celsius,
+    where known.
     """
     wanted = (rated / drive.i_max,) if rated and rated < _SLOPES * drive.i_max else ()
     peak, loaded = _peak_torque(drive, _RADII) if drive.origin.turning else None, None
@@ -64,14 +66,16 @@ def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
         sigmas = (linear.sigma_psi_pm, linear.sigma_l_d, linear.sigma_l_q)
         rows = zip(names, values, sigmas, ("Wb", "H", "H"), strict=True)
         return tuple(Quantity(*row) for row in rows if math.isfinite(row[2]))
-    local = _Local.at(drive, 0.0, 0.0)
+    local, continued = _Local.at(drive, 0.0, 0.0), ""
+    if local is None:
+        local, continued = _Local.at(drive, 0.0, 0.0, enclosed=True), _ENCLOSED
     if local is None:
         return ()
-    inductances = tuple(local.inductance(axis, name, note) for axis, name in enumerate(names[1:]))
-    if not drive.origin.turning:
-        return inductances
-    psi_pm = Quantity(names[0], float(local.psi[0]), float(drive.flux_map.sigma(0.0, 0.0)[0]), "Wb", "At zero current.")
-    return (psi_pm, *inductances)
+    found = [local.inductance(axis, name, note + continued) for axis, name in enumerate(names[1:])]
+    if drive.origin.turning:
+        sigma = _sigma(local.changes[0]) if continued else float(drive.flux_map.sigma(0.0, 0.0)[0])
+        found.insert(0, Quantity(names[0], float(local.psi[0]), sigma, "Wb", "At zero current." + continued))
+    return tuple(_unless_vague(quantity) if continued else quantity for quantity in found)
 
 
 def _of_shaft(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
@@ -91,7 +95,10 @@ def _peak_torque(drive: IdentifiedDrive, radii: Iterable[float]) -> _Local | Non
         tried = ((radius * np.cos(angle), radius * np.sin(angle)) for angle in rough + _FINE)
         points = filter(None, (_Local.at(drive, *point, continued=True) for point in tried))
         summit = max(points, key=lambda point: float(point.per_pair[0]), default=None)
-        best = None if summit is None else _Local.at(drive, summit.i_d, summit.i_q)
+        best = None
+        if summit is not None:
+            at = summit.i_d, summit.i_q
+            best = _Local.at(drive, *at) or _Local.at(drive, *at, enclosed=True)
         if best is not None:
             return best if best.per_pair[0] > 0 else None
     return None
@@ -112,18 +119,24 @@ class _Local:
     slope_changes: FloatArray  # (2, M), H
 
     @classmethod
-    def at(cls, drive: IdentifiedDrive, i_d: float, i_q: float, *, continued: bool = False) -> _Local | None:
+    def at(
+        cls, drive: IdentifiedDrive, i_d: float, i_q: float, *, continued: bool = False, enclosed: bool = False
+    ) -> _Local | None:
         """Evaluate the polynomial through grid points with data that encloses a current; None where there is none.
 
         Of all such polynomials, the one whose points lie most evenly around the current. With ``continued``, the
-        map's continuation counts as data.
+        map's continuation counts as data; with ``enclosed``, the points whose joint errors are known do.
         """
         found, modes = drive.flux_map, drive.error_modes
+        usable = found.inside
+        if enclosed:
+            known = () if modes is None else (modes.psi_d, modes.psi_q)
+            usable = np.all([each.any(axis=0) for each in known] or [np.zeros_like(usable)], axis=0)
         starts_d, starts_q = (_starts(axis, x) for axis, x in ((found.i_d, i_d), (found.i_q, i_q)))
         pairs = sorted((d_off + q_off, m, n) for d_off, m in starts_d for q_off, n in starts_q)
         for _, m, n in pairs:
             at = np.s_[..., m : m + _NODES, n : n + _NODES]
-            if continued or found.inside[at].all():
+            if continued or usable[at].all():
                 break
         else:
             return None

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from drive_id.core.maps.coverage import Visits, _dilated, disc_coverage
+from drive_id.core.maps.coverage import Visits, _dilated, disc_coverage, enclosed
 
 AXIS = np.linspace(-10, 10, 21)
 
@@ -17,6 +17,16 @@ def at(*points, times=1):
     visits = Visits(AXIS, AXIS)
     visits.add(np.repeat(np.array(points, float), times, axis=0))
     return visits
+
+
+def test_what_data_enclose_is_their_convex_hull():
+    d, q = np.meshgrid(AXIS, AXIS, indexing="ij")
+    ring = (np.hypot(d, q) <= 8.0) & (np.hypot(d, q) >= 6.0)
+    np.testing.assert_array_equal(enclosed(ring), np.hypot(d, q) <= 8.0)
+    half = ring & (q < 0)
+    assert not enclosed(half)[q > 0].any()
+    for few in (np.zeros_like(ring), (d == 1) & (q == 2), (d == 1) & (np.abs(q) < 3)):
+        np.testing.assert_array_equal(enclosed(few), few)
 
 
 def test_each_sample_counts_at_its_nearest_node():

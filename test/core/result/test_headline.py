@@ -81,17 +81,33 @@ def test_values_and_standard_errors_are_those_of_the_formula(drive):
     assert named(drive)["R"].note.startswith("At the temperature of the recording. ")
 
 
+def covered(drive, inside, known=None):
+    """The drive with data, and with joint errors where nothing else is said, in a part of the plane only."""
+    known = inside if known is None else known
+    modes = replace(drive.error_modes, psi_d=drive.error_modes.psi_d * known, psi_q=drive.error_modes.psi_q * known)
+    return replace(drive, flux_map=replace(drive.flux_map, inside=inside), error_modes=modes)
+
+
 def test_what_the_data_do_not_cover_is_left_out(drive):
-    d, q = np.meshgrid(AXIS, AXIS, indexing="ij")
-    ring = replace(drive.flux_map, inside=drive.flux_map.inside & (np.hypot(d, q) > 30.0))
-    found = named(replace(drive, flux_map=ring), pole_pairs=PAIRS)
+    inside, (d, q) = drive.flux_map.inside, np.meshgrid(AXIS, AXIS, indexing="ij")
+    found = named(covered(drive, inside & (np.hypot(d, q) > 30.0)), pole_pairs=PAIRS)
     assert list(found)[:4] == ["L_d at 95 A, MTPA", "L_q at 95 A, MTPA", "R", "Inverter drop"]
     assert "Torque at i_max, MTPA" in found
-    core = replace(drive.flux_map, inside=np.hypot(d, q) <= 85.0)
-    found = named(replace(drive, flux_map=core), pole_pairs=PAIRS)
-    assert "Torque at 80 A, MTPA" in found
-    half = replace(drive.flux_map, inside=drive.flux_map.inside & (q < 0))
-    assert not any("at" in name for name in named(replace(drive, flux_map=half), pole_pairs=PAIRS))
+    assert "Torque at 80 A, MTPA" in named(covered(drive, np.hypot(d, q) <= 85.0), pole_pairs=PAIRS)
+    assert not any("at" in name for name in named(covered(drive, inside & (q < 0)), pole_pairs=PAIRS))
+
+
+def test_what_the_data_enclose_is_told_with_its_standard_error(drive):
+    inside, (d, q) = drive.flux_map.inside, np.meshgrid(AXIS, AXIS, indexing="ij")
+    whole = named(drive, pole_pairs=PAIRS)
+    ring = named(covered(drive, inside & (np.hypot(d, q) > 30.0), inside), pole_pairs=PAIRS)
+    for name in ("ψ_PM", "L_d at zero current", "L_q at zero current"):
+        assert ring[name].value == whole[name].value
+        assert ring[name].sigma == pytest.approx(whole[name].sigma, rel=1e-5, abs=1e-12)
+        assert "No sample lies there" in ring[name].note
+        assert "No sample" not in whole[name].note
+    few = named(covered(drive, inside & (np.hypot(d - 20, q - 70) > 25), inside), pole_pairs=PAIRS)
+    assert few["Torque at i_max, MTPA"] == whole["Torque at i_max, MTPA"]
 
 
 def test_slopes_at_large_current_are_told_with_sound_standard_errors_only(drive):

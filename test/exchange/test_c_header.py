@@ -9,14 +9,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from exact_results import exact_result
 from exchange_machine import result
+from flashed_machines import bridged
 from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
 
 from drive_id.analysis.machine import MachineModel
 from drive_id.exchange.exports.exporting import content_of
 from drive_id.exchange.exports.options import ExportOptions
-from drive_id.types import MachineMap
 
 CC = shutil.which("cc")
 pytestmark = pytest.mark.skipif(CC is None, reason="there is no C compiler 'cc'")
@@ -163,14 +162,6 @@ def test_control(tmp_path):
     grid = np.meshgrid(AXIS_D, AXIS_Q, indexing="ij")
     kp = rate * drive.flux_map.inductances(*grid)[..., 0, 0] / base
     assert (numbers.reshape(kp.shape) / 2.0**shift <= kp + 0.51 / 2.0**shift).all()
-
-
-def bridged(width=0.6, height=0.04):
-    """Return a machine whose bridges saturate within a fraction of a table's step."""
-    axis = np.arange(-20.0, 20.01, 0.25)
-    d, q = np.meshgrid(axis, axis, indexing="ij")
-    psi = 0.05 + 4e-3 * d + 0.3 * height * np.tanh(d / width), 8e-3 * q + height * np.tanh(q / width)
-    return exact_result(MachineMap("bridged", axis, axis, *psi, 0.45, 3, 15.0, 320.0))
 
 
 def open_loop_margin(kp, ki, r, inductance, delay):

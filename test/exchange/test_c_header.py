@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from compiled_header import compiled, header_margins, open_loop_margin, over_the_disc, read
 from exchange_machine import result
 from flashed_machines import NAMES, bridged, drive
 from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
@@ -16,10 +17,8 @@ from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
 from drive_id.analysis.machine import MachineModel
 from drive_id.exchange.exports.exporting import content_of
 from drive_id.exchange.exports.options import ExportOptions
-from drive_id.exchange.exports.table import MapTable
 
-CC = shutil.which("cc")
-pytestmark = pytest.mark.skipif(CC is None, reason="there is no C compiler 'cc'")
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="there is no C compiler 'cc'")
 AXIS_D, AXIS_Q = np.array([-17.5, -14.0, -9.0, -5.5, -2.0, 0.0, 3.0, 8.0, 12.5]), np.arange(-15.0, 15.1, 1.5)
 MAIN = r"""
 #include "map.h"
@@ -49,21 +48,6 @@ int main(void)
     return 0;
 }
 """
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2")
-
-
-def compiled(folder, header, *options, main=MAIN):
-    (folder / "map.h").write_bytes(header)
-    (folder / "main.c").write_text(main)
-    command = [CC, *STRICT, *options, "main.c", "-o", "reader", "-lm"]
-    subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
-    return folder / "reader"
-
-
-def read(program, points):
-    text = "\n".join(f"{d:.17g} {q:.17g}" for d, q in points)
-    ran = subprocess.run([program], input=text, capture_output=True, text=True, check=True)
-    return np.array([[float(word) for word in line.split()] for line in ran.stdout.splitlines()])
 
 
 def table(drive):
@@ -84,7 +68,7 @@ def test_ten_thousand_points(tmp_path, options, accuracy):
     rng = np.random.default_rng(7)
     points = rng.uniform([-17.5, -15.0], [12.5, 15.0], (10_000, 2))
     points[:4] = [[-9.0, 6.0], [12.5, -15.0], [-17.5, 15.0], [0.0, 0.0]]
-    found = read(compiled(tmp_path, header, *options), points)
+    found = read(compiled(tmp_path, header, *options, main=MAIN), points)
     largest = np.abs(psi).max()
     for k in range(2):
         linear = RegularGridInterpolator((AXIS_D, AXIS_Q), psi[k])(points)
@@ -102,7 +86,7 @@ def test_beyond_the_axes_and_without_data(tmp_path):
     drive = replace(drive, drive=replace(drive.drive, flux_map=replace(m, inside=inside)))
     header, psi = table(drive)
     points = [(40.0, 0.0), (-17.0, -14.5), (float("nan"), 0.0), (-2.0, 1.0), (-5.5, 3.0)]
-    found = read(compiled(tmp_path, header), points)
+    found = read(compiled(tmp_path, header, main=MAIN), points)
     assert found[:, 4].tolist() == [0, 0, 0, 1, 1]
     assert np.isfinite(found[[0, 1, 3, 4], :4]).all()  # a controller never reads NaN
     assert np.isnan(found[2, :4]).all()
@@ -117,7 +101,7 @@ def test_inside_there_is_a_number(tmp_path):
     drive = replace(drive, drive=replace(drive.drive, flux_map=replace(m, inside=inside)))
     header, _ = table(drive)
     points = np.random.default_rng(4).uniform(-15, 15, (20_000, 2))
-    found = read(compiled(tmp_path, header), points)
+    found = read(compiled(tmp_path, header, main=MAIN), points)
     surrounded = found[:, 4] == 1
     assert 5000 < surrounded.sum() < 19_000
     assert np.isfinite(found[surrounded]).all()
@@ -127,7 +111,7 @@ def test_inside_there_is_a_number(tmp_path):
 def test_a_name_cannot_end_its_comment(tmp_path):
     drive = result()
     named = replace(drive, provenance=replace(drive.provenance, machine='*/ #error "ä" ??/'))
-    compiled(tmp_path, table(named)[0])
+    compiled(tmp_path, table(named)[0], main=MAIN)
 
 
 def test_control(tmp_path):
@@ -165,69 +149,16 @@ def test_control(tmp_path):
     assert (numbers.reshape(kp.shape) / 2.0**shift <= kp + 0.51 / 2.0**shift).all()
 
 
-def open_loop_margin(kp, ki, r, inductance, delay):
-    """Return the phase margins, degrees, of open loops, whose gains fall: bisected for the crossing of 1."""
-    low, high = np.full(len(kp), 1e-6), np.full(len(kp), 1e7)
-    for _ in range(100):
-        w = 1j * np.sqrt(low * high)
-        loop = (kp + ki / w) / (r + w * inductance)
-        low, high = np.where(np.abs(loop) > 1, w.imag, low), np.where(np.abs(loop) > 1, high, w.imag)
-    return 180 + np.degrees(np.angle(loop) - low * delay)
-
-
-def over_the_disc(i_max, count):
-    """Return random currents (N, 2), of which a quarter lie near zero and two quarters near an axis."""
-    rng = np.random.default_rng(5)
-    size, turn = i_max * np.sqrt(rng.uniform(0, 1, count)), rng.uniform(0, 2 * np.pi, count)
-    points = np.stack([size * np.cos(turn), size * np.sin(turn)], axis=1)
-    part = count // 4
-    points[:part] *= 0.1
-    points[part : 2 * part, 0] *= 0.05
-    points[2 * part : 3 * part, 1] *= 0.05
-    return points
-
-
-SLOPES = r"""
-#include "map.h"
-#include <stdio.h>
-#define D(f) (f(d + h, q) - f(d - h, q)) / (2 * h)
-#define Q(f) (f(d, q + h) - f(d, q - h)) / (2 * h)
-int main(void)
-{
-    const double h = 1e-6 * DRIVE_ID_I_MAX;
-    double d, q;
-    while (scanf("%lf %lf", &d, &q) == 2) {
-        printf("%.17g %.17g %.17g %.17g %.17g %.17g\n", drive_id_kp_d(d, q), drive_id_kp_q(d, q), D(drive_id_psi_d),
-               Q(drive_id_psi_q), D(drive_id_psi_d_bicubic), Q(drive_id_psi_q_bicubic));
-    }
-    return 0;
-}
-"""
-
-
 @pytest.mark.parametrize(
     "name", ["spm", *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES if name != "spm")]
 )  # slow: seconds for a map with bridges
 def test_the_margin_holds_on_the_exported_interpolation(name, tmp_path):
     """At 20 000 currents, with L of the map and of both functions of the header, 20 % more and less."""
-    found, period = drive(name), 1e-4
-    axis = np.linspace(-found.i_max, found.i_max, 21)
-    options = ExportOptions(axis, axis, bandwidth=1000.0, sample_period=period)
-    header, exported = content_of(found, "c-header", options)
-    stated = float(re.search(r"at least ([0-9.]+) degrees", " ".join(exported.warnings))[1])
-    assert stated >= 60.0
-    points = over_the_disc(found.i_max, 20_000)
-    read_back = read(compiled(tmp_path, header, "-DDRIVE_ID_DOUBLE", main=SLOPES), points)
-    ki = float(re.search(r"DRIVE_ID_KI \(\(drive_id_real\)([0-9.]+)\)", header.decode())[1])
-    of_map = MapTable.of(found, options).machine.inductances(*points.T)
-    worst = min(
-        open_loop_margin(read_back[:, k], ki, found.resistance, factor * inductance, 1.5 * period).min()
-        for k in range(2)
-        for inductance in (of_map[:, k, k], read_back[:, 2 + k], read_back[:, 4 + k])
-        for factor in (0.8, 1.0, 1.2)
-    )
-    assert stated <= worst < stated + 3
-    assert ki > 2 * np.pi * 150 * found.resistance  # a fold, too, keeps a bandwidth
+    found = drive(name)
+    margins = header_margins(found, tmp_path)
+    assert margins.stated >= 60.0
+    assert margins.stated <= margins.worst < margins.stated + 3
+    assert margins.bandwidth > 150.0  # a fold, too, keeps some
 
 
 @pytest.mark.slow  # margins at thousands of points
@@ -263,7 +194,7 @@ def test_inside_means_what_it_means_in_an_analysis(tmp_path):
     header, _ = content_of(drive, "c-header", ExportOptions(axis, axis))
     rim = 15.0 * np.array([[np.cos(a), np.sin(a)] for a in np.arange(0.01, 6.28, 0.05)])
     points = np.vstack([np.random.default_rng(4).uniform(-15, 15, (5000, 2)), rim, 0.95 * rim])
-    found = read(compiled(tmp_path, header, "-DDRIVE_ID_DOUBLE"), points)
+    found = read(compiled(tmp_path, header, "-DDRIVE_ID_DOUBLE", main=MAIN), points)
     wanted = MachineModel.of(drive).inside(*points.T)
     assert 0.5 < wanted.mean() < 0.9
     np.testing.assert_array_equal(found[:, 4] == 1, wanted)

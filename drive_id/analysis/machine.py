@@ -29,6 +29,7 @@ _CONSEQUENCE = (
 )
 _LEAST_SLOPE = 0.05
 """Of the nearest monotone map relative to the typical one: a spline through its samples is up to 0.02 less steep."""
+_HALVINGS = 4  # of the grid's steps at most, until splines through samples of that map are monotone as well
 _RIM = 1.001
 """Current relative to i_max that counts as i_max."""
 
@@ -59,6 +60,8 @@ class MachineModel:
         Degrees Celsius; None: as in the experiment.
     errors : ModelErrors or None
         None when the standard errors are not known.
+    everywhere : Surfaces or None
+        The map without and with data; None: ``own`` where there are data, continued elsewhere.
     """
 
     flux_map: FluxMap
@@ -73,6 +76,7 @@ class MachineModel:
     temperature: float | None = None
     magnet_temperature: float | None = None
     errors: ModelErrors | None = None
+    everywhere: Surfaces | None = None
 
     @classmethod
     def of(
@@ -298,8 +302,7 @@ class MachineModel:
     @property
     def _nodes(self) -> tuple[FloatArray, FloatArray]:
         """Currents of the grid's nodes and between them along both axes, A."""
-        i_d, i_q = (np.sort(np.append(x, x[:-1] + np.diff(x) / 2)) for x in (self.flux_map.i_d, self.flux_map.i_q))
-        return i_d, i_q
+        return _halved(self.flux_map.i_d), _halved(self.flux_map.i_q)
 
     def control_inductances(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
         """Return incremental inductances (..., 2, 2), H, that are positive definite where there are data.
@@ -348,8 +351,15 @@ class MachineModel:
         found, grid = self.flux_map, self.flux_map.grid()
         points, psi = grid[found.inside], np.stack([found.psi_d, found.psi_q], axis=-1)[found.inside]
         reach = 1 + float(np.abs(grid).max() / np.hypot(points[:, 0], points[:, 1]).max())
-        whole = fit_monotone(points, psi, reach=max(REACH, reach), margin=_LEAST_SLOPE).psi(grid)
-        return Surfaces.over(found.i_d, found.i_q, whole[..., 0], whole[..., 1])
+        whole = fit_monotone(points, psi, reach=max(REACH, reach), margin=_LEAST_SLOPE)
+        i_d, i_q = found.i_d, found.i_q
+        for _ in range(_HALVINGS):
+            samples = whole.psi(np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1))
+            surfaces = Surfaces.over(i_d, i_q, samples[..., 0], samples[..., 1])
+            i_d, i_q = _halved(i_d), _halved(i_q)
+            if definite(surfaces.slopes(*np.meshgrid(i_d, i_q, indexing="ij"))).all():
+                break
+        return surfaces
 
     @cached_property
     def rising(self) -> MachineModel:
@@ -361,7 +371,8 @@ class MachineModel:
             return self
         found, grid = self.flux_map, self.flux_map.grid()
         nearest = np.moveaxis(self.inverted.values(grid[..., 0], grid[..., 1]), -1, 0)
-        whole = replace(self, flux_map=replace(found, psi_d=nearest[0], psi_q=nearest[1]), own=self.inverted)
+        there = replace(found, psi_d=nearest[0], psi_q=nearest[1])
+        whole = replace(self, flux_map=there, own=self.inverted, everywhere=self.inverted)
         if not self.monotone_inside:
             return whole
         away = np.stack([found.psi_d, found.psi_q]) - nearest
@@ -387,6 +398,8 @@ class MachineModel:
 
     @cached_property
     def _surfaces(self) -> Surfaces:
+        if self.everywhere is not None:
+            return self.everywhere
         found = self.flux_map
         return Surfaces.around(self.own, found.inside, found.i_d, found.i_q, (found.psi_d, found.psi_q))
 
@@ -403,6 +416,10 @@ def definite(slopes: FloatArray) -> BoolArray:
     """Tell which matrices (..., 2, 2) have a positive definite symmetric part."""
     cross = 0.5 * (slopes[..., 0, 1] + slopes[..., 1, 0])
     return np.asarray((slopes[..., 0, 0] > 0) & (slopes[..., 0, 0] * slopes[..., 1, 1] > cross**2))
+
+
+def _halved(axis: FloatArray) -> FloatArray:
+    return np.sort(np.append(axis, axis[:-1] + np.diff(axis) / 2))
 
 
 def _currents(i_d: ArrayLike, i_q: ArrayLike) -> tuple[FloatArray, FloatArray]:

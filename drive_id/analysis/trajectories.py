@@ -16,6 +16,7 @@ _ZOOMS = 14  # rounds of search, each with half the step: down to 1e-6 rad
 _WIDTH = 4  # steps to both sides in each round
 _BISECTIONS = 40  # of the angle of an MTPV point: to rounding
 _CIRCLES = 61  # on which the beginning of the MTPV locus is looked for
+_FINE_CIRCLES, _FINE_ANGLES = 241, 361  # of the grid that tells the largest torque at a flux: to 3e-4 of that at i_max
 _BETWEEN = 17  # circles between the last one without and the first one with it
 _LOST = 1e-4  # share of the torque at the same flux that a point of MTPV may give away; else the locus is elsewhere
 _NARROWINGS = 4  # times that those are refined: to 3e-7 of i_max
@@ -77,7 +78,8 @@ def mtpv(model: MachineModel, i_max: float, points: int = 41) -> CurrentLocus:
     On each circle it is the point beyond the MTPA angle, towards less flux, where torque and flux have parallel
     gradients; the locus begins at the characteristic current and is empty when that exceeds ``i_max``.
     """
-    start, exists = 0.0, _mtpv_angle(model, np.linspace(0.0, i_max, _CIRCLES)[1:])
+    most = _torque_by_flux(model, i_max)
+    start, exists = 0.0, _mtpv_angle(model, np.linspace(0.0, i_max, _CIRCLES)[1:], most)
     known = np.isfinite(exists)
     if not known[-1]:
         return _trajectory(model, np.zeros(0), np.zeros(0), np.zeros(0))
@@ -86,11 +88,11 @@ def mtpv(model: MachineModel, i_max: float, points: int = 41) -> CurrentLocus:
         low, high = ((last_without[-1] + 1 + k) * i_max / (_CIRCLES - 1) for k in (0, 1))
         for _ in range(_NARROWINGS):
             tried = np.linspace(low, high, _BETWEEN)
-            first = max(1, int(np.isfinite(_mtpv_angle(model, tried[1:])).argmax()) + 1)
+            first = max(1, int(np.isfinite(_mtpv_angle(model, tried[1:], most)).argmax()) + 1)
             low, high = tried[first - 1], tried[first]
         start = high
     current = np.linspace(start, i_max, points)
-    angle = _mtpv_angle(model, current)
+    angle = _mtpv_angle(model, current, most)
     if start == 0.0:
         angle[0] = angle[1]
     found = np.isfinite(angle)
@@ -153,8 +155,11 @@ def _cross(psi: FloatArray, slopes: FloatArray, i_d: FloatArray, i_q: FloatArray
     return np.asarray(torque[..., 0] * flux[..., 1] - torque[..., 1] * flux[..., 0])
 
 
-def _mtpv_angle(model: MachineModel, current: FloatArray) -> FloatArray:
-    """Return the angles (N,) of the locus on circles (N,), A; NaN where there is none."""
+def _mtpv_angle(model: MachineModel, current: FloatArray, most: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return the angles (N,) of the locus on circles (N,), A; NaN where there is none.
+
+    ``most`` tells the largest torque up to flux amplitudes, see :func:`_torque_by_flux`.
+    """
 
     def torque(i: FloatArray, a: FloatArray) -> FloatArray:
         return model.torque(i * np.cos(a), i * np.sin(a))
@@ -172,7 +177,7 @@ def _mtpv_angle(model: MachineModel, current: FloatArray) -> FloatArray:
     before = np.sign(values[:, :1])
     turned = (values[:, :-1] * before > 0) & (values[:, 1:] * before <= 0)  # from a rise of the torque to a fall
     turned[:, -1] &= np.abs(np.sin(angles[:, -1])) > 0  # on the d axis itself there is no torque
-    most, best, kept = _torque_by_flux(model, float(current[-1])), np.full(len(current), np.nan), np.zeros(len(current))
+    best, kept = np.full(len(current), np.nan), np.zeros(len(current))
     for _ in range(int(turned.sum(axis=1).max(initial=0))):
         first, rows = turned.argmax(axis=1), np.flatnonzero(turned.any(axis=1))
         low, high = angles[rows, first[rows]], angles[rows, first[rows] + 1]
@@ -192,7 +197,7 @@ def _mtpv_angle(model: MachineModel, current: FloatArray) -> FloatArray:
 
 def _torque_by_flux(model: MachineModel, i_max: float) -> Callable[[FloatArray], FloatArray]:
     """Return a function of flux amplitudes, Wb: the largest torque, Nm, up to them on a grid of currents."""
-    size, angle = np.meshgrid(np.linspace(0.0, i_max, _CIRCLES), np.linspace(0.0, np.pi, _ANGLES))
+    size, angle = np.meshgrid(np.linspace(0.0, i_max, _FINE_CIRCLES), np.linspace(0.0, np.pi, _FINE_ANGLES))
     i_d, i_q = size * np.cos(angle), size * np.sin(angle)
     known = model.inside(i_d, i_q)
     flux, torque = np.hypot(*model.psi_dq(i_d, i_q))[known], model.torque(i_d, i_q)[known]

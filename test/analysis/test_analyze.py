@@ -94,6 +94,22 @@ def test_the_files_are_as_agreed(folder):
         assert arrays[name][d, q] == pytest.approx((up - down) / (2 * step), rel=5e-3)
 
 
+def test_the_tables_name_their_units(folder):
+    """As the W3C's CSV on the Web has it: each column of each table, in its order, with its unit."""
+    found = json.loads((folder / "csv-metadata.json").read_text())
+    assert found["@context"] == "http://www.w3.org/ns/csvw"
+    assert {entry["url"] for entry in found["tables"]} == {path.name for path in folder.glob("*.csv")}
+    units = {}
+    for entry in found["tables"]:
+        columns = entry["tableSchema"]["columns"]
+        assert [column["name"] for column in columns] == list(table(folder / entry["url"]))
+        units |= {column["name"]: column.get("schema:unitText") for column in columns}
+    wanted = {"i_d": "A", "psi_q": "Wb", "torque": "Nm", "sigma_torque": "Nm", "speed": "rad/s, mechanical"}
+    wanted |= {"voltage": "V", "sigma_voltage": "V", "power": "W", "sigma_angle": "rad", "efficiency": "1"}
+    assert {name: units[name] for name in wanted} == wanted
+    assert [name for name, unit in units.items() if unit is None] == ["limit"]  # which is a word
+
+
 def test_the_numbers_are_as_agreed(folder, analysis, result):
     def refuse(name):
         raise AssertionError(f"{name} is no JSON")

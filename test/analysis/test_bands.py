@@ -11,7 +11,7 @@ from machine_kinds import KINDS, mean_torque
 from scipy.optimize import root
 
 import drive_id
-from drive_id.analysis.field_weakening import DriveLimits, envelope, sigma_envelope
+from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelope, sigma_envelope
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.trajectories import characteristic_current, mtpa, mtpv
@@ -163,6 +163,30 @@ def test_bands_of_optima_are_those_of_optima_found_anew(erring, pairs):
     )
     points = envelope(model, LIMITS, speed)
     same(sigma_envelope(model, LIMITS, points), pairs, lambda other: envelope(other, LIMITS, speed).torque)
+
+
+@pytest.mark.accuracy
+def test_the_band_of_the_corner_speed_is_the_scatter_of_corner_speeds(erring):
+    """200 drives that differ by all causes of error at once."""
+    small = drive_id.AnalysisSettings(current_points=3, torque_points=1, speed_points=3)
+    figure = drive_id.analyze(erring, small).figures["corner_speed"]
+    modes, drive = erring.drive.error_modes, erring.drive
+    rng, found = np.random.default_rng(3), []
+    for normal in rng.normal(size=(200, len(modes))):
+        flux_map = replace(
+            drive.flux_map,
+            psi_d=drive.flux_map.psi_d + np.tensordot(normal, modes.psi_d, 1),
+            psi_q=drive.flux_map.psi_q + np.tensordot(normal, modes.psi_q, 1),
+        )
+        other = replace(
+            drive,
+            flux_map=flux_map,
+            resistance=drive.resistance + normal @ modes.resistance,
+            inverter_voltage=drive.inverter_voltage + normal @ modes.inverter_voltage,
+        )
+        found.append(corner_speed(MachineModel.of(replace(erring, drive=other)), LIMITS))
+    assert figure.value == pytest.approx(np.mean(found), abs=0.3 * figure.sigma)
+    assert figure.sigma == pytest.approx(np.std(found), rel=0.2)  # of 200, the scatter is known to 5 %
 
 
 @pytest.mark.accuracy

@@ -17,7 +17,7 @@ from scipy.interpolate import CubicHermiteSpline
 from drive_id.exchange.exports.axes import clean
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
-from drive_id.types import FloatArray, IntArray
+from drive_id.types import BoolArray, FloatArray, IntArray
 
 TOLERANCE = 0.2
 """Share by which inductances may differ from those of the map: that much between machines of a series is common."""
@@ -31,7 +31,7 @@ _EXCESS = 1.02  # of a gain between points over that of the map's inductance, fr
 _MOST_POINTS = 81  # of an axis that is refined: tables of two fluxes and two gains then take 105 kB
 _TOLD = 0.9  # of the same: lowered by less is not told
 _WORST = 4000  # places from which the bandwidth follows
-_SPARE = math.radians(0.05)  # of the phase margin, as the worst current may lie between the places
+_SPARE = math.radians(0.1)  # of the phase margin, as the worst current may lie between the places
 _ROUNDS = 4  # of these two
 _BISECTIONS = 30
 
@@ -81,16 +81,23 @@ def designed(table: MapTable, options: ExportOptions) -> CurrentControl:
     """Choose table, gains and bandwidth so that the phase margin holds between the points, with L 20 % off as well."""
     asked = len(table.i_d), len(table.i_q)
     places = _Places(table)
-    while places.coarse and 2 * max(places.counts) - 1 <= _MOST_POINTS:
-        places = _Places(table.on(_halved(places.table.i_d), _halved(places.table.i_q)))
+    while any(marks.any() for marks in places.coarse):
+        i_d, i_q = (
+            clean(np.sort(np.append(axis, (axis[:-1] + np.diff(axis) / 2)[marks])))
+            for axis, marks in zip((places.table.i_d, places.table.i_q), places.coarse, strict=True)
+        )
+        if max(len(i_d), len(i_q)) > _MOST_POINTS:
+            break
+        places = _Places(table.on(i_d, i_q))
     rate, margin, nominal, delay = options.rate, math.nan, math.nan, 0.0
     if options.sample_period is not None:
         delay = _DELAY * options.sample_period
         wanted = math.radians(options.phase_margin) + _SPARE
-        rate, margin, nominal = places.limited(rate, wanted, delay)
+        rate, *found = places.limited(rate, wanted, delay)
+        margin, nominal = (x - _SPARE for x in found)
     lowered = int(np.count_nonzero((places.shares < _TOLD).any(axis=0) & places.table.inside))
-    found = dict(zip("dq", places.gains, strict=True))
-    return CurrentControl(places.table, rate, found, margin, nominal, delay, lowered, asked)
+    gains = dict(zip("dq", places.gains, strict=True))
+    return CurrentControl(places.table, rate, gains, margin, nominal, delay, lowered, asked)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,21 +126,39 @@ class _Places:
         i_d, i_q = np.meshgrid(*self.axes, indexing="ij")
         return i_d, i_q
 
-    @property
-    def coarse(self) -> bool:
-        """Whether a gain must be much lower than that of the inductance although there are data."""
-        return bool((self.shares[:, self.table.inside] < _LEAST_SHARE).any())
+    @cached_property
+    def coarse(self) -> list[BoolArray]:
+        """Intervals of both axes in which a gain must be much lower than that of the inductance, with data near.
+
+        An inductance is compared along its own current; along the other one, only what is lost between points counts.
+        """
+        out = []
+        for axis, parts in enumerate(self.parts):
+            known = np.moveaxis(self.table.inside, axis, 0)
+            marks = np.zeros(len(known) - 1, np.bool_)
+            for own, ratio in enumerate(self.least / self._read(self._nodes)):
+                lines = np.moveaxis(ratio, axis, 0)[:, :: self.parts[1 - axis]]  # through points of the other axis
+                ends = np.minimum(lines[:-1:parts], lines[parts::parts])
+                low = np.stack([ends, *(lines[k::parts] for k in range(1, parts))]).min(axis=0)
+                enough = _LEAST_SHARE * (1.0 if own == axis else np.minimum(ends, 1.0))
+                marks |= ((low < enough) & (known[1:] | known[:-1])).any(axis=1)
+            out.append(marks)
+        return out
 
     @cached_property
     def true(self) -> FloatArray:
-        """Inductances (2, 2, S, T), H: of the map, and of the bicubic interpolation of the table."""
+        """Inductances (4, 2, S, T), H: of the map, of bicubic interpolation, and of the bilinear one to both sides."""
         i_d, i_q = self._currents
         psi_d, psi_q = self.table.machine.psi_dq(*self.table.grid)
         slopes = self.table.machine.inductances(i_d, i_q)
         (d, q), (x, y) = (self.table.i_d, self.table.i_q), self.axes
         l_d = cubic(q, cubic(d, psi_d, x, 1).T, y).T
         l_q = cubic(q, cubic(d, psi_q, x).T, y, 1).T
-        return np.array([[slopes[..., 0, 0], slopes[..., 1, 1]], [l_d, l_q]])
+        bilinear = [
+            (_linear(q, secant_d.T, y).T, _linear(d, secant_q.T, x))
+            for secant_d, secant_q in zip(_secants(d, psi_d, x), _secants(q, psi_q.T, y), strict=True)
+        ]
+        return np.array([[slopes[..., 0, 0], slopes[..., 1, 1]], [l_d, l_q], *bilinear])
 
     @cached_property
     def least(self) -> FloatArray:
@@ -216,10 +241,6 @@ def _largest(
     return low
 
 
-def _halved(axis: FloatArray) -> FloatArray:
-    return clean(divided(axis, 2))
-
-
 def divided(axis: FloatArray, parts: int) -> FloatArray:
     """Return an axis with each of its cells in equal parts."""
     inner = axis[:-1, None] + np.diff(axis)[:, None] * np.arange(parts) / parts
@@ -248,3 +269,10 @@ def _linear(axis: FloatArray, values: FloatArray, x: FloatArray) -> FloatArray:
 
 def _cell(axis: FloatArray, x: FloatArray) -> IntArray:
     return np.asarray(np.clip(np.searchsorted(axis, x, side="right") - 1, 0, len(axis) - 2))
+
+
+def _secants(axis: FloatArray, values: FloatArray, x: FloatArray) -> list[FloatArray]:
+    """Return the slopes (S, ...) of linear interpolation along the first axis, below and above places x (S,)."""
+    slopes = np.diff(values, axis=0) / np.diff(axis)[:, None]
+    below = np.clip(np.searchsorted(axis, x, side="left") - 1, 0, len(axis) - 2)
+    return [slopes[below], slopes[_cell(axis, x)]]

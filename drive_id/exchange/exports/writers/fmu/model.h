@@ -11,6 +11,8 @@
 #include <string.h>
 
 #define STATES 3
+#define TOLERANCE 1e-6 /* of a current within a step of the solver inside, by i_max */
+#define HALVINGS 8 /* of such a step, at most */
 #define BEYOND 1.5 /* of i_max: farther than that without data, it is told */
 
 typedef struct {
@@ -105,27 +107,54 @@ static void model_update(Model *m)
     v[DER_ANGLE] = omega;
 }
 
-/* Runge-Kutta's rule of fourth order over h (s), in equal steps of at most the parameter step. */
+/* One step of Runge-Kutta's rule of fourth order over dt (s). */
+static void model_rule(Model *m, double dt)
+{
+    double start[STATES], slope[4][STATES];
+    static const double share[4] = {0, 0.5, 0.5, 1};
+    int k, j;
+    memcpy(start, m->value + I_D, sizeof start);
+    for (k = 0; k < 4; k++) {
+        for (j = 0; j < STATES && k > 0; j++) {
+            m->value[I_D + j] = start[j] + share[k] * dt * slope[k - 1][j];
+        }
+        model_update(m);
+        memcpy(slope[k], m->value + DER_I_D, sizeof start);
+    }
+    for (j = 0; j < STATES; j++) {
+        m->value[I_D + j] = start[j] + dt / 6 * (slope[0][j] + 2 * slope[1][j] + 2 * slope[2][j] + slope[3][j]);
+    }
+}
+
+/*
+ * Two steps over dt (s) in all; while they differ from one by more than TOLERANCE, each half is divided likewise: a current
+ * that leaves a bridge, or a drop that changes its sign, rises by many amperes within one step of a smooth machine.
+ */
+static void model_advance(Model *m, double dt, int halvings)
+{
+    double start[STATES], once[STATES], away;
+    memcpy(start, m->value + I_D, sizeof start);
+    model_rule(m, dt);
+    memcpy(once, m->value + I_D, sizeof once);
+    memcpy(m->value + I_D, start, sizeof start);
+    model_rule(m, dt / 2);
+    model_rule(m, dt / 2);
+    away = fabs(m->value[I_D] - once[0]) + fabs(m->value[I_Q] - once[1]);
+    if (halvings > 0 && away > TOLERANCE * DRIVE_ID_I_MAX) {
+        memcpy(m->value + I_D, start, sizeof start);
+        model_advance(m, dt / 2, halvings - 1);
+        model_advance(m, dt / 2, halvings - 1);
+    }
+}
+
+/* Advance by h (s), in equal steps of at most the parameter step, divided where the currents need it. */
 static void model_step(Model *m, double h)
 {
     const double count = ceil(h / m->value[STEP] - 1e-9);
     const int steps = count < 1 ? 1 : (count > 1e8 ? 100000000 : (int)count);
-    const double dt = h / steps;
-    double start[STATES], slope[4][STATES];
-    static const double share[4] = {0, 0.5, 0.5, 1};
-    int n, k, j;
+    int n;
     for (n = 0; n < steps; n++) {
-        memcpy(start, m->value + I_D, sizeof start);
-        for (k = 0; k < 4; k++) {
-            for (j = 0; j < STATES && k > 0; j++) {
-                m->value[I_D + j] = start[j] + share[k] * dt * slope[k - 1][j];
-            }
-            model_update(m);
-            memcpy(slope[k], m->value + DER_I_D, sizeof start);
-        }
-        for (j = 0; j < STATES; j++) {
-            m->value[I_D + j] = start[j] + dt / 6 * (slope[0][j] + 2 * slope[1][j] + 2 * slope[2][j] + slope[3][j]);
-        }
+        model_advance(m, h / steps, HALVINGS);
     }
     m->value[TIME] += h;
     model_update(m);

@@ -421,6 +421,16 @@ def _makes_sense(cell: Cell, hazard: Hazard, done: dict[str, float]) -> bool:
     return not ("publisher stopped (SIGSTOP)" in done and hazard.act in {"stop", "kill"})  # it does not answer
 
 
+def _has_own_time(hazard: Hazard, done: dict[str, float]) -> bool:
+    """Return whether current may flow for the time stated for a hazard, and not only for that of the first one.
+
+    The publisher may not have acted upon the first one when it is killed or stopped, and a drive that is another one
+    belongs to nobody: it follows an intruder until the publisher, which has tripped, brings it to zero.
+    """
+    free = bool(ANOTHER & set(done)) and hazard.act == "intrude"
+    return len(done) == 1 or free or hazard.act in {"kill", "suspend"}
+
+
 def script(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> list[str]:
     """Run a random script: up to three hazards one shortly after the other, and return their names."""
     rng = random.Random(f"{seed} {number}")
@@ -441,7 +451,7 @@ def script(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> list[s
         if not _makes_sense(cell, hazard, done):
             continue
         begin = done[name] = cell.inject(hazard)
-        if len(done) == 1 or hazard.act in {"kill", "suspend"}:  # before it has acted upon the first one, perhaps
+        if _has_own_time(hazard, done):
             deadline = max(deadline, begin - since + hazard.stated)
         cell.graph.spin(rng.choice((0.0, 0.02, 0.1, 0.3)))
     cell.rested(since)

@@ -116,6 +116,20 @@ def test_a_late_block_counts_by_its_samples_also_where_two_drives_publish(safety
 
 
 @pytest.mark.parametrize(
+    ("names", "own"),
+    [
+        (["drive restarts"], True),
+        (["~/stop", "second publisher sends references"], False),
+        (["drive restarts", "second publisher sends references"], True),  # the drive belongs to nobody
+        (["drive restarts", "emergency stop"], False),
+        (["emergency stop", "publisher killed"], True),
+    ],
+)
+def test_which_hazards_of_a_script_have_a_time_of_their_own(safety, names, own):
+    assert safety._has_own_time(safety.HAZARDS[names[-1]], dict.fromkeys(names, 0.0)) == own
+
+
+@pytest.mark.parametrize(
     ("replies", "found"),
     [
         ([("drive_changed", 0)], ""),

@@ -44,6 +44,8 @@ QUIET = 0.7
 """Time without current after which a drive counts as at rest, s: more than messages are ever late."""
 OWNED = 0.6
 """Time after a run in which a drive surely belongs to its publisher, s: its second, less what it takes to intrude."""
+_HEARD = 20.0
+"""Time within which the node identification hears of another drive, s, however busy the computer."""
 _ATTEMPTS = 4
 _REPLAYS = 10
 _START, _CATCH_UP, _BEHIND = 90.0, 5.0, 0.1
@@ -127,7 +129,8 @@ class Cell:
         """Time from then until a block was published, s: of the last one, and the longest."""
         self.reason, self.state, self.leased = "", "", True
         self._seen: set[int] = set()
-        self._count, self._zero = 0, np.inf  # samples so far, and when the drive had none, s of the monotonic clock
+        self._zeros: dict[int, float] = {}
+        """When a drive had no samples, s of the monotonic clock, by the count of its next one: two may publish."""
         self._frozen = False
         self.rivals: list[Any] = []
         node = graph.node
@@ -180,14 +183,13 @@ class Cell:
 
     def _sampled(self, message: PhaseCurrents, published: float) -> float:
         """Return when a block was complete."""
-        if message.first_sample < self._count:
-            self._zero = np.inf  # the drive was restarted
-        self._count = message.first_sample + len(message.a)
-        age = self._count * message.sample_period
-        self._zero = min(self._zero, published - age)  # of the block that was published most promptly
-        self.behind = published - age - self._zero
+        count = message.first_sample + len(message.a)
+        age = count * message.sample_period
+        zero = min(self._zeros.pop(message.first_sample, np.inf), published - age)  # by the most prompt block
+        self._zeros[count] = zero
+        self.behind = published - age - zero
         self.lag = max(self.lag, self.behind)
-        return float(self._zero + age)
+        return float(zero + age)
 
     def _on_status(self, message: DriveStatus, info: Any) -> None:
         if self._frozen:  # samples that say nothing
@@ -348,10 +350,26 @@ class Cell:
         """End it."""
         self._end(RIVAL)
 
-    def mapped(self) -> str:
-        """Return the code of a request for one map of all that was heard."""
-        reply = self.graph.call(Identify, f"/{LISTENER}/identify")
-        return "no answer" if reply is None else str(reply.code)
+    def merged(self) -> str:
+        """Return how a map of all that was heard is one of two drives; empty if it is not.
+
+        As long as the second drive has not been heard, a map of the first one alone is right.
+        """
+        first = reply = self._mapped()
+        end = time.monotonic() + _HEARD
+        while reply.code == "ok" and time.monotonic() < end and {DRIVE, RIVAL} & set(self.nodes):
+            self.graph.spin(0.2)
+            reply = self._mapped()
+        if reply.code == "ok" and {DRIVE, RIVAL} & set(self.nodes):
+            return f"one map of two drives after {_HEARD:g} s: {reply.message}"
+        before = self._mapped("before") if first.code == "ok" else first
+        if before.code == "ok" and first.report.samples_read > before.report.samples_read:
+            return f"one map of two drives: {first.message} Before the change, there were fewer: {before.message}"
+        return ""
+
+    def _mapped(self, part: str = "") -> Any:
+        reply = self.graph.call(Identify, f"/{LISTENER}/identify", part=part)
+        return Identify.Response(code="no answer") if reply is None else reply
 
     def suspend(self) -> None:
         """Hold up the publisher's process."""
@@ -403,6 +421,16 @@ def _makes_sense(cell: Cell, hazard: Hazard, done: dict[str, float]) -> bool:
     return not ("publisher stopped (SIGSTOP)" in done and hazard.act in {"stop", "kill"})  # it does not answer
 
 
+def _has_own_time(hazard: Hazard, done: dict[str, float]) -> bool:
+    """Return whether current may flow for the time stated for a hazard, and not only for that of the first one.
+
+    The publisher may not have acted upon the first one when it is killed or stopped, and a drive that is another one
+    belongs to nobody: it follows an intruder until the publisher, which has tripped, brings it to zero.
+    """
+    free = bool(ANOTHER & set(done)) and hazard.act == "intrude"
+    return len(done) == 1 or free or hazard.act in {"kill", "suspend"}
+
+
 def script(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> list[str]:
     """Run a random script: up to three hazards one shortly after the other, and return their names."""
     rng = random.Random(f"{seed} {number}")
@@ -423,12 +451,12 @@ def script(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> list[s
         if not _makes_sense(cell, hazard, done):
             continue
         begin = done[name] = cell.inject(hazard)
-        if len(done) == 1 or hazard.act in {"kill", "suspend"}:  # before it has acted upon the first one, perhaps
+        if _has_own_time(hazard, done):
             deadline = max(deadline, begin - since + hazard.stated)
         cell.graph.spin(rng.choice((0.0, 0.02, 0.1, 0.3)))
     cell.rested(since)
-    if LISTENER in cell.nodes and ANOTHER & set(done) and (code := cell.mapped()) == "ok":
-        cell.findings.append(f"one map of two drives ({code})")
+    if LISTENER in cell.nodes and ANOTHER & set(done) and (merged := cell.merged()):
+        cell.findings.append(merged)
     for name in reversed(done):  # a node that was killed first
         cell.undo(HAZARDS[name])
     cell.graph.spin(QUIET)

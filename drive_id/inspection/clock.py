@@ -40,12 +40,16 @@ def timed(table: Table, contents: Contents) -> Table:
     found = time_column(table)
     if found is None:
         return table
-    name, unit = found
-    values = table.columns[name]
-    stamp = np.rint((values - values[0]) * STAMP_UNITS[unit]).astype(np.int64)
+    return stamped(table, found[0], STAMP_UNITS[found[1]])
+
+
+def stamped(table: Table, name: str, tick: float) -> Table:
+    """Return a table with the stamps of a column in units of ``tick`` ns, and of the nanoseconds beside it."""
     both = seconds_columns(name, table.columns)
+    seconds = table.columns[both[0] if both else name]
+    stamp = np.rint((seconds - seconds[:1]) * tick).astype(np.int64)
     if both:
-        stamp += np.rint(table.columns[both[1]] - table.columns[both[1]][0]).astype(np.int64)
+        stamp += np.rint(table.columns[both[1]] - table.columns[both[1]][:1]).astype(np.int64)
     return replace(table, stamp=Restarts().continued(stamp), stamp_source=name)
 
 

@@ -57,10 +57,13 @@ class Table:
 
     @property
     def period(self) -> float | None:
-        """Usual time between rows, s; None without stamps."""
+        """Usual time between rows, s, without gaps where all others are steady; None without stamps."""
         if len(self.stamp) < 3:
             return None
-        return float(self.stamp[-1] - self.stamp[0]) / (len(self.stamp) - 1) * 1e-9 or None
+        steps = np.diff(self.stamp).astype(np.float64)
+        near = steps[np.abs(steps - np.median(steps)) < 0.5 * np.median(steps)]
+        steady = len(near) > _MOSTLY * len(steps) and near.std() < _STEADY * near.mean()
+        return float(near.mean() if steady else steps.mean()) * 1e-9 or None
 
     @property
     def jitter(self) -> float | None:

@@ -9,20 +9,22 @@ from drive_id.inspection.points import PhaseGroup
 
 _LARGEST = 1.17
 """Largest duty cycle with its zero sequence, 2 / sqrt(3), and a reserve."""
-_PERCENT = 100.0
+_PERCENT, _PERMILLE = 100.0, 1000.0
 _SHARE = 1e-2  # by which duty cycles may exceed their range
 _MIDDLE = 0.03
 """Difference of the mean of a phase from the middle of the range, by the range, up to which these are duty cycles."""
 _FEWEST_COUNTS = 200
 """Counts of a timer that are no percent."""
 _NAMES = {"duty", "pwm", "dutycycle", "mod", "modulation"}
+_VOLTS = {"u", "v", "volt", "voltage", "spannung"}
 _UNIT = 0.02  # below zero, up to which duty cycles reach from 0 to 1
 
 
 def full_scale(u: PhaseGroup) -> float:
     """Return the range of duty cycles; 0 for volts.
 
-    It is 1 for 0 to 1, 2 for -1 to 1, 100 for percent, 200 for -100 to 100 %, or twice the mean of counts of a timer.
+    It is 1 for 0 to 1, 2 for -1 to 1, 100 for percent, 1000 for permille, 200 for -100 to 100 %, or twice the mean of
+    counts of a timer.
 
     Voltages of phases have no mean in common, and those to the negative rail half of the DC-link voltage.
     """
@@ -31,15 +33,16 @@ def full_scale(u: PhaseGroup) -> float:
         return 1.0 if low >= -_UNIT else 2.0
     if u.group.frame != "abc":
         return 0.0
-    named = bool(words(u.label) & _NAMES) or "%" in u.label
+    named = bool(words(u.label) & _NAMES and not words(u.group.stem) & _VOLTS) or "%" in u.label
     means = u.values.mean(axis=0)
-    around_half = bool(np.all(np.abs(means - _PERCENT / 2) < _MIDDLE * _PERCENT))
-    within = low >= -_SHARE * _PERCENT and high <= (1 + _SHARE) * _PERCENT
-    if within and (around_half or (named and low >= 0)):
-        return _PERCENT
+    for full in (_PERCENT, _PERMILLE):
+        around_half = bool(np.all(np.abs(means - full / 2) < _MIDDLE * full))
+        within = low >= -_SHARE * full and high <= (1 + _SHARE) * full
+        if within and (around_half or (named and full == _PERCENT and low >= 0)):
+            return full
     counts = bool(np.all(u.values == np.rint(u.values))) and low >= 0 and high > _FEWEST_COUNTS
     if counts and float(np.ptp(means)) < _MIDDLE * 2 * float(means.mean()):
         return float(2 * np.rint(means.mean()))
-    if named and "%" in u.label and max(-low, high) <= _LARGEST * _PERCENT:
+    if named and max(-low, high) <= _LARGEST * _PERCENT:
         return 2 * _PERCENT
     return 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +31,7 @@ from drive_id.files.read.operating_log import read_operating_log
 from drive_id.files.read.reader import find_topics
 from drive_id.files.read.several import SeveralBags
 from drive_id.files.storage.bag import open_bag
+from drive_id.inspection.clock import stamped
 from drive_id.inspection.contents import Contents, Table, read_contents
 from drive_id.inspection.draft import Draft, propose
 from drive_id.messages import Message
@@ -209,8 +210,7 @@ def _stamped(table: Table, signals: SignalMap) -> Table:
     for source in signals.sources().values():
         values = table.columns.get(source.stamp)
         if values is not None and np.isfinite(values).all() and np.abs(values * source.tick).max(initial=0.0) < 2.0**61:
-            stamp = np.rint((values - values[:1]) * source.tick).astype(np.int64)
-            return replace(table, stamp=stamp, stamp_source=source.stamp)
+            return stamped(table, source.stamp, source.tick)
     return table
 
 

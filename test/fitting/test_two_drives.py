@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from drive_bags import TOPICS, blocks_of
-from synthetic import record, saturating_flux
+from synthetic import reciprocal_flux, record, saturating_flux
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveChangedError
@@ -134,3 +134,41 @@ def test_two_drives_at_once_are_refused(drives, tmp_path):
                     writer.write(topic, data, block["stamp"])
     with pytest.raises(DriveChangedError, match="from one drive to another"):
         fitted(tmp_path / "bag")
+
+
+def stronger_reciprocal(i_dq):
+    return 1.2 * reciprocal_flux(i_dq)
+
+
+FULL = {
+    "the same": (0.010, reciprocal_flux),
+    "double": (0.020, reciprocal_flux),
+    "more": (0.0115, reciprocal_flux),
+    "other": (0.010, stronger_reciprocal),
+}
+
+
+@pytest.fixture(scope="module")
+def full_drives():
+    """Samples, 2 s each, of machines whose maps are gradients."""
+    return {
+        name: record(flux, resistance=r, duration=2.0, noise=0.02, seed=seed)
+        for seed, (name, (r, flux)) in enumerate({"first": FULL["the same"], **FULL}.items())
+    }
+
+
+@pytest.mark.slow  # three fits of method full each
+@pytest.mark.parametrize(
+    "other", [pytest.param(name, marks=pytest.mark.essential) if name == "more" else name for name in FULL]
+)
+def test_method_full_keeps_drives_apart_and_joins_one_that_was_restarted(full_drives, tmp_path, other):
+    path = write(tmp_path / "bag", [full_drives["first"], full_drives[other]])
+    if other == "the same":
+        found = fitted(path, method="full")
+        assert found.drive.report.samples_read == 40_000
+        assert "same_drive" in [warning.code for warning in found.warnings]
+        assert found.drive.resistance == pytest.approx(0.01, rel=1e-3)
+        return
+    with pytest.raises(DriveChangedError, match="psi_PM is" if other == "other" else "R is") as refused:
+        fitted(path, method="full")
+    assert refused.value.code == "drive_changed"

@@ -144,6 +144,21 @@ def test_captures_whose_time_starts_again_are_runs(writer, tmp_path, samples, co
     np.testing.assert_allclose(found.i_abc, samples.i_abc, atol=1e-3)
     assert found.run_starts.tolist() == [N // parts * k for k in range(parts)]
     assert "time_restarts" in warnings
+    assert found.sample_period == pytest.approx(1e-4, rel=1e-6)
+    assert "stamp_jitter" not in [finding.code for finding in check(path).findings]
+
+
+@pytest.mark.parametrize("restarts", [False, True])
+def test_seconds_and_nanoseconds_do_not_jitter(restarts, tmp_path, columns):
+    ns = 5_999_900_000 + 100_000 * (np.arange(N) % 4000 if restarts else np.arange(N))
+    rest = {name: x for name, x in columns.items() if name != "t"}
+    path = tool_logs.csv(tmp_path / "a.csv", dict(zip(SECONDS["ROS 2"], divmod(ns, 10**9), strict=True)) | rest,
+                         digits=dict.fromkeys(SECONDS["ROS 2"], "%.0f"))  # fmt: skip
+    assert "stamp_jitter" not in [finding.code for finding in check(path).findings]
+    found, _, warnings = drafted(path)
+    assert len(found) == N
+    assert found.sample_period == pytest.approx(1e-4, rel=1e-6)
+    assert ("time_restarts" in warnings) == restarts
 
 
 TDMS = {
@@ -178,6 +193,7 @@ def test_phases_that_begin_at_different_times_are_refused(tmp_path, columns):
 DUTY = {
     "percent": (100.0, ("duty_a", "duty_b", "duty_c"), "U_dc/100"),
     "percent without names": (100.0, ("ch4", "ch5", "ch6"), "U_dc/100"),
+    "permille": (1000.0, ("d1", "d2", "d3"), "U_dc/1000"),
     "counts of a timer": (8400.0, ("CCR1", "CCR2", "CCR3"), "U_dc/8400"),
 }
 
@@ -188,15 +204,27 @@ def test_duty_cycles_are_no_volts_and_no_dc_link(kind, link, tmp_path, samples, 
     full, names, said = DUTY[kind]
     u_dc = 400.0 + (np.sin(np.arange(N)) if link else 0.0)
     duties = {name: full * (columns[f"u{phase}"] / u_dc + 0.5) for name, phase in zip(names, "abc", strict=True)}
-    duties = {name: np.rint(x) for name, x in duties.items()} if full > 100 else duties
+    duties = {name: np.rint(x) for name, x in duties.items()} if full > 1000 else duties
     rest = {name: x for name, x in columns.items() if name[0] != "u"}
     rest |= {"u_dc": u_dc} if link else {}
     path = tool_logs.csv(tmp_path / "a.csv", {**rest, **duties, "n_rpm": np.full(N, 500.0)})
     found, draft, warnings = drafted(path)
-    assert_same(found, samples, volts=0.05 if full == 100 else 0.3)
+    assert_same(found, samples, volts=0.05 if full <= 1000 else 0.3)
     assert ("guessed_setting" in warnings) == (not link)
     assert (f"# EDIT: {said}" in draft.text) == (not link)
     assert "speed_scale: 4   # 4 pole pairs" in draft.text
+
+
+@pytest.mark.parametrize(("name", "scaled"), [("mod_a", True), ("duty_u", True), ("pwm_voltage_a", False)])
+def test_percent_around_zero_is_told_from_volts_by_its_name(name, scaled, tmp_path, samples, columns):
+    phases = "uvw" if name.endswith("u") else "abc"
+    percent = {name[:-1] + phase: 200 / 400 * columns[f"u{abc}"] for phase, abc in zip(phases, "abc", strict=True)}
+    rest = {key: x for key, x in columns.items() if key[0] != "u"}
+    path = tool_logs.csv(tmp_path / "a.csv", {**rest, **percent, "u_dc": np.full(N, 400.0)})
+    found, _, _ = drafted(path)
+    got = frames.space_vector(found.u_abc)
+    true = frames.space_vector(samples.u_abc)[: len(found)]
+    np.testing.assert_allclose(got, true if scaled else true / 2, atol=0.05)
 
 
 def test_a_guessed_period_is_told_by_the_fit(tmp_path, columns):

@@ -6,6 +6,7 @@ import importlib
 import re
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -94,7 +95,71 @@ def test_a_publisher_held_up_for_3_s_sends_no_current_when_it_goes_on(safety, so
         assert "hears nobody any more: start it again" in process.text
 
 
+def bare_cell(safety, **attributes):
+    cell = safety.Cell.__new__(safety.Cell)
+    vars(cell).update(attributes)
+    return cell
+
+
+def test_a_late_block_counts_by_its_samples_also_where_two_drives_publish(safety):
+    cell = bare_cell(safety, _zeros={}, behind=0.0, lag=0.0)
+
+    def when(first, published):
+        return cell._sampled(SimpleNamespace(first_sample=first, a=[0.0] * 100, sample_period=1e-4), published)
+
+    assert when(5000, 10.0) == pytest.approx(10.0)
+    assert when(0, 10.0) == pytest.approx(10.0)
+    assert when(5100, 10.31) == pytest.approx(10.01)  # 0.3 s late
+    assert when(100, 10.21) == pytest.approx(10.01)
+    assert cell.lag == pytest.approx(0.3)
+    assert when(0, 20.0) == pytest.approx(20.0)  # restarted
+
+
+@pytest.mark.parametrize(
+    ("names", "own"),
+    [
+        (["drive restarts"], True),
+        (["~/stop", "second publisher sends references"], False),
+        (["drive restarts", "second publisher sends references"], True),  # the drive belongs to nobody
+        (["drive restarts", "emergency stop"], False),
+        (["emergency stop", "publisher killed"], True),
+    ],
+)
+def test_which_hazards_of_a_script_have_a_time_of_their_own(safety, names, own):
+    assert safety._has_own_time(safety.HAZARDS[names[-1]], dict.fromkeys(names, 0.0)) == own
+
+
+@pytest.mark.parametrize(
+    ("replies", "found"),
+    [
+        ([("drive_changed", 0)], ""),
+        ([("ok", 7000), ("drive_changed", 0), ("ok", 7000)], ""),  # it had not heard the second drive yet
+        ([("ok", 7000), ("drive_changed", 0), ("configuration", 0)], ""),  # too few came before
+        ([("ok", 7100), ("drive_changed", 0), ("ok", 7000)], "Before the change, there were fewer"),
+        ([("ok", 7000)] * 3, "one map of two drives after 0 s"),
+    ],
+)
+def test_one_map_of_two_drives_is_a_finding(safety, monkeypatch, replies, found):
+    from drive_id_msgs.srv import Identify
+
+    queue = list(replies)
+
+    def call(*_, **__):
+        code, samples = queue.pop(0)
+        reply = Identify.Response(code=code)
+        reply.report.samples_read = samples
+        return reply
+
+    monkeypatch.setattr(safety, "_HEARD", 0.0 if found.endswith("0 s") else 20.0)
+    graph = SimpleNamespace(call=call, spin=lambda _: None)
+    said = bare_cell(safety, graph=graph, nodes={safety.DRIVE: None}).merged()
+    assert found in said
+    assert bool(found) == bool(said)
+
+
 @pytest.mark.process
 def test_random_scripts(safety, sound):
-    for number in range(4):  # `make safety` tries as many as one likes
+    """With the node identification, which makes no map of two drives: two of the scripts restart or exchange one."""
+    sound.start_listener()
+    for number in range(8):
         safety.script(sound, 7, number, ALLOWANCE)

@@ -320,9 +320,10 @@ class Watchdog:
 
     def _two_drives(self, name: str) -> Fault | None:
         """Return why counts or stamps of a signal mix, if two drives are there; a killed one is seen for 20 s."""
-        if len(set(self.drives)) < 2:
+        drives = list(dict.fromkeys(self.drives))
+        if len(drives) < 2:
             return None
-        return Fault(f"Two drives publish {name}, {' and '.join(self.drives)}, and their counts mix: stop one.", True)
+        return Fault(f"Two drives publish {name}, {' and '.join(drives)}, and their counts mix: stop one.", True)
 
     def _estop(self, steady: float) -> Fault | None:
         faults = [button.fault(steady, self.settings.emergency_stop_timeout) for button in self._buttons.values()]

@@ -349,7 +349,7 @@ def test_a_restart_of_the_drive_trips(running):
 
 def test_two_drives_are_named_where_their_counts_mix(bench):
     """A second one that is silent does no harm; nodes that publish say which two they are."""
-    bench.watched.count_drives(["/drive", "/rival"])
+    bench.watched.count_drives(["/drive", "/rival", "/drive"])  # one of them was killed, and is still seen
     bench.ticks(3)
     assert bench.start()[0]
     bench.ticks(30)

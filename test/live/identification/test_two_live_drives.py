@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drive_bags import TOPICS, blocks_of
-from synthetic import record
+from synthetic import reciprocal_flux, record
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.result.same_drive import magnet_flux
 from drive_id.errors import ConfigurationError, DriveChangedError
 from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
@@ -160,3 +161,36 @@ def test_settings_reach_both_parts(identifier, drives):
         identifier.job((), "")
     assert identifier.configure(replace(identifier.live.settings, i_max=200.0))
     identifier.job((), "")  # all are forgotten
+
+
+def stronger(i_dq):
+    return 1.2 * reciprocal_flux(i_dq)
+
+
+FULL = {
+    "restarted": (0.010, reciprocal_flux, 0.0800),
+    "double": (0.020, reciprocal_flux, 0.0800),
+    "more": (0.0115, reciprocal_flux, 0.0800),
+    "other": (0.010, stronger, 0.0960),
+}  # resistance, ohm, flux, and that of the magnet, Wb
+
+
+@pytest.fixture(scope="module")
+def first_of_full():
+    return list(blocks_of(record(reciprocal_flux, resistance=0.01, duration=1.5, noise=0.02)).values())
+
+
+@pytest.mark.parametrize("other", FULL)
+def test_method_full_gives_a_map_of_each_part_and_none_of_both(tmp_path, first_of_full, other):
+    resistance, flux, magnet = FULL[other]
+    second = blocks_of(record(flux, resistance=resistance, duration=1.5, noise=0.02, seed=1)).values()
+    settings = IdentificationSettings(output_directory=str(tmp_path), refit_share=0.0)
+    identifier = Identifier(settings, FitSettings("full", i_max=300.0), tuple(TOPICS))
+    play(identifier, first_of_full, range(150))
+    play(identifier, list(second), range(150), later=4.0)
+    with pytest.raises(DriveChangedError):
+        identifier.job((), "")
+    for part, true in (("before", (0.01, 0.08)), ("after", (resistance, magnet))):
+        found = asked(identifier, part).identification
+        assert (found.resistance, magnet_flux(found.flux_map)[0]) == pytest.approx(true, rel=2e-3)
+        assert found.report.samples_read == 15_000

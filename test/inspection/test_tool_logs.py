@@ -274,6 +274,26 @@ def test_what_is_not_read_is_named_with_the_way_out(kind, tmp_path):
         check(path)
 
 
+OBJECTS = {
+    "table": r"s = table2struct\(T, 'ToScalar', true\)\.$",
+    "timetable": r"timetable2table\(T, 'ConvertRowTimes', false\).*s\.time = seconds\(T\.Properties\.RowTimes",
+    "timeseries": r"save a struct of its time and data instead",
+}
+
+
+@pytest.mark.parametrize("write", [tool_logs.matlab_object, tool_logs.matlab_object_73])
+@pytest.mark.parametrize("kind", OBJECTS)
+@pytest.mark.parametrize("beside", [False, True])
+def test_objects_of_matlab_are_named_with_the_way_out(write, kind, beside, tmp_path, samples, columns):
+    """Whatever small arrays are beside them; one beside a whole recording does no harm."""
+    path = write(tmp_path / "a.mat", kind, {"gains": np.arange(4.0)} if beside else {})
+    with pytest.raises(
+        BagError, match=f"an object of MATLAB's class {kind}, which only MATLAB reads: .*{OBJECTS[kind]}"
+    ):
+        check(path)
+    assert_same(drafted(write(tmp_path / "whole.mat", kind, columns))[0], samples)
+
+
 def test_the_content_tells_the_kind_not_the_name(tmp_path, columns):
     path = tool_logs.csv(tmp_path / "log.weird", columns)
     assert log_kind(path) == "csv"

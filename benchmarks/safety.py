@@ -424,11 +424,12 @@ def _makes_sense(cell: Cell, hazard: Hazard, done: dict[str, float]) -> bool:
 def _has_own_time(hazard: Hazard, done: dict[str, float]) -> bool:
     """Return whether current may flow for the time stated for a hazard, and not only for that of the first one.
 
-    The publisher may not have acted upon the first one when it is killed or stopped, and a drive that is another one
-    belongs to nobody: it follows an intruder until the publisher, which has tripped, brings it to zero.
+    The publisher may not have acted upon the first one when it is killed or stopped, or the messages that tell of it
+    are late; and a drive that is another one belongs to nobody: it follows an intruder until the publisher, which has
+    tripped, brings it to zero.
     """
     free = bool(ANOTHER & set(done)) and hazard.act == "intrude"
-    return len(done) == 1 or free or hazard.act in {"kill", "suspend"}
+    return len(done) == 1 or free or hazard.act in {"kill", "suspend"} or "latency" in hazard.faults
 
 
 def script(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> list[str]:

@@ -123,6 +123,7 @@ def test_a_late_block_counts_by_its_samples_also_where_two_drives_publish(safety
         (["drive restarts", "second publisher sends references"], True),  # the drive belongs to nobody
         (["drive restarts", "emergency stop"], False),
         (["emergency stop", "publisher killed"], True),
+        (["samples of feedback frozen", "messages 0.4 s late"], True),
     ],
 )
 def test_which_hazards_of_a_script_have_a_time_of_their_own(safety, names, own):

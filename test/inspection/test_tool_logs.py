@@ -326,6 +326,38 @@ def test_vesc_tool_logs_get_a_draft_for_static(coasting, period, tmp_path):
     assert ("inverter_off" in [warning.code for warning in log.warnings]) == bool(coasting)
 
 
+UNITS = {
+    "brackets": ("i{} [mA]", 1e3, "u{} [kV]", 1e-3),
+    "parentheses": ("i{} (kA)", 1e-3, "u{} (mV)", 1e3),
+    "ends of names": ("i{}_mA", 1e3, "u{}_mV", 1e3),
+    "the base": ("i{} [A]", 1.0, "u{}_V", 1.0),
+}
+
+
+@pytest.mark.parametrize("kind", UNITS)
+def test_units_in_the_names_of_columns_are_used(kind, tmp_path, samples, columns):
+    i_name, i_factor, u_name, u_factor = UNITS[kind]
+    renamed = {"t": columns["t"], "theta": columns["theta"]}
+    for phase in "abc":
+        renamed[i_name.format(phase)] = i_factor * columns[f"i{phase}"]
+        renamed[u_name.format(phase)] = u_factor * columns[f"u{phase}"]
+    found, draft, _ = drafted(tool_logs.csv(tmp_path / "a.csv", renamed))
+    assert_same(found, samples)
+    assert "EDIT" not in draft.text  # kV are no duty cycles
+
+
+def test_units_in_the_names_of_a_slow_log_are_used(tmp_path):
+    path, i_dq, _ = vesc(tmp_path / "a.csv")
+    text = path.read_text().split("\n", 1)
+    names = text[0].replace("d_axis_current", "id_kA").replace("q_axis_current", "iq_kA")
+    names = names.replace("d_axis_voltage", "vd_mV").replace("q_axis_voltage", "vq_mV")
+    path.write_text(f"{names}\n{text[1]}")
+    draft = check(path).draft
+    log = read_operating_log(path, parse_signals(draft.text, "the draft"))
+    np.testing.assert_allclose(log.data.i_dq, 1e3 * i_dq, atol=1e-3)
+    assert np.abs(log.data.u_dq).max() < 0.1
+
+
 def test_a_result_of_other_recordings_is_not_replaced(tmp_path, columns):
     first = tool_logs.csv(tmp_path / "one.csv", columns)
     other = tool_logs.csv(tmp_path / "two.csv", columns | {"ia": columns["ia"] + 1e-3})

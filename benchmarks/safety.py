@@ -125,6 +125,8 @@ class Cell:
         self.findings: list[str] = []
         self.peaks: list[tuple[float, float]] = []
         """Times at which blocks of currents were complete, s of the monotonic clock, and their largest values, A."""
+        self.heard = 0
+        """Times that blocks of another drive began, or of this one anew."""
         self.behind, self.lag = 0.0, 0.0
         """Time from then until a block was published, s: of the last one, and the longest."""
         self.reason, self.state, self.leased = "", "", True
@@ -185,6 +187,7 @@ class Cell:
         """Return when a block was complete."""
         count = message.first_sample + len(message.a)
         age = count * message.sample_period
+        self.heard += message.first_sample not in self._zeros
         zero = min(self._zeros.pop(message.first_sample, np.inf), published - age)  # by the most prompt block
         self._zeros[count] = zero
         self.behind = published - age - zero
@@ -343,8 +346,10 @@ class Cell:
         self.start_drive()
 
     def double(self) -> None:
-        """Start a second drive on the same topics."""
+        """Start a second drive on the same topics, and wait for its first block: on a busy computer it is late."""
+        before = self.heard
         self.start_drive("spm", RIVAL)
+        self.graph.wait(lambda: self.heard > before, 5.0)
 
     def un_double(self) -> None:
         """End it."""

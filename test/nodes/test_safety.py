@@ -102,7 +102,7 @@ def bare_cell(safety, **attributes):
 
 
 def test_a_late_block_counts_by_its_samples_also_where_two_drives_publish(safety):
-    cell = bare_cell(safety, _zeros={}, behind=0.0, lag=0.0)
+    cell = bare_cell(safety, _zeros={}, behind=0.0, lag=0.0, heard=0)
 
     def when(first, published):
         return cell._sampled(SimpleNamespace(first_sample=first, a=[0.0] * 100, sample_period=1e-4), published)
@@ -112,6 +112,7 @@ def test_a_late_block_counts_by_its_samples_also_where_two_drives_publish(safety
     assert when(5100, 10.31) == pytest.approx(10.01)  # 0.3 s late
     assert when(100, 10.21) == pytest.approx(10.01)
     assert cell.lag == pytest.approx(0.3)
+    assert cell.heard == 2
     assert when(0, 20.0) == pytest.approx(20.0)  # restarted
 
 

@@ -149,7 +149,7 @@ class _DraftText:
     def _currents(self) -> list[str]:
         i = self._choice.currents
         lines = [f"  fields: {listed(i.group.names)}", *_frame(i)]
-        scale = _unit_factor(i)
+        scale = i.unit_factor
         if scale == 1.0 and float(np.abs(i.values).max()) > _LARGEST_CURRENT:
             scale = 0.001
             self._unsure.append(
@@ -177,7 +177,7 @@ class _DraftText:
         full = full_scale(u)
         if full:
             lines.append(self._duty_scale(u, full))
-        elif (factor := _unit_factor(u)) != 1.0:
+        elif (factor := u.unit_factor) != 1.0:
             lines.append(f"  scale: {factor:g}")
         if not suggests(u.label, "voltage"):
             self._unsure.append(
@@ -330,13 +330,6 @@ class _DraftText:
         table, name = self._link
         time = [f"  {line}" for line in self._time(table, []) if "equally" not in line and "first_sample" not in line]
         return ["", "optional:", "  dc_link_voltage:", *time, f"    field: {quoted(name)}"]
-
-
-def _unit_factor(found: PhaseGroup) -> float:
-    """Return the factor to A or V by the unit that the log or the name of a column gives."""
-    said = found.table.unit(found.group.names[0]) or found.group.names[0].strip().rstrip("])").rpartition("[")[2]
-    said = said.rpartition("(")[2]
-    return {"m": 1e-3, "u": 1e-6, "k": 1e3}.get(said[:1], 1.0) if said[1:] in ("A", "V") else 1.0
 
 
 def _frame(found: PhaseGroup) -> list[str]:

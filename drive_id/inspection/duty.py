@@ -29,9 +29,10 @@ def full_scale(u: PhaseGroup) -> float:
     Voltages of phases have no mean in common, and those to the negative rail half of the DC-link voltage.
     """
     low, high = float(u.values.min()), float(u.values.max())
-    if max(-low, high) <= _LARGEST:
+    volts = u.unit_factor != 1.0  # mV or kV
+    if max(-low, high) <= _LARGEST and not volts:
         return 1.0 if low >= -_UNIT else 2.0
-    if u.group.frame != "abc":
+    if u.group.frame != "abc" or volts:
         return 0.0
     named = bool(words(u.label) & _NAMES and not words(u.group.stem) & _VOLTS) or "%" in u.label
     means = u.values.mean(axis=0)

@@ -21,6 +21,8 @@ _WORDS = {
     "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds", "sec", "secs", "today", "elapsed"),
 }  # fmt: skip
 _TIME_UNIT = re.compile(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?(?: \(\d+\))?$|^(ns|us|µs|ms)_")
+_UNIT = re.compile(r"[\[(] ?([mukµ]?)[av] ?[\])]$", re.IGNORECASE), re.compile(r"(?:^|[_ ])([mukµ])[AV]$")
+_FACTORS = {"m": 1e-3, "u": 1e-6, "µ": 1e-6, "k": 1e3}
 _LABVIEW_TIME = "x_value"
 _YAML_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
 _UNITS = {"current": ("[a]", "(a)", "[ma]", "(ma)"), "voltage": ("[v]", "(v)")}
@@ -55,6 +57,12 @@ def time_unit(name: str) -> str:
     """Return the unit of time at the end of a name, as in ``time [ms]`` or ``t_us``; empty if it has none."""
     said = _TIME_UNIT.search(name.lower())
     return (said.group(1) or said.group(2)).replace("µ", "u") if said else ""
+
+
+def unit_factor(name: str, unit: str = "") -> float:
+    """Return the factor to A or V by the unit that the log gives, or the end of a name: ``I1 [mA]``, ``u_kV``."""
+    said = next((found for pattern in _UNIT if (found := pattern.search(unit or name.strip()))), None)
+    return _FACTORS.get(said.group(1).lower(), 1.0) if said else 1.0
 
 
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:

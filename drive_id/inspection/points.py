@@ -14,7 +14,7 @@ import numpy as np
 
 from drive_id.core.checks.recognition import AngleLike
 from drive_id.inspection.contents import Table
-from drive_id.inspection.names import NameGroup, suggests
+from drive_id.inspection.names import NameGroup, suggests, unit_factor
 from drive_id.types import FloatArray
 
 _BY_COLUMN = 2.0
@@ -41,6 +41,11 @@ class PhaseGroup:
     def label(self) -> str:
         """What the names of the table and of the columns have in common."""
         return f"{self.table.name} {self.group.stem}"
+
+    @property
+    def unit_factor(self) -> float:
+        """Factor to A or V."""
+        return unit_factor(self.group.names[0], self.table.unit(self.group.names[0]))
 
 
 @dataclass(frozen=True, eq=False)

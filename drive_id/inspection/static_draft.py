@@ -9,7 +9,7 @@ import numpy as np
 from drive_id.files.messages.signal_sources import STAMP_UNITS
 from drive_id.inspection.clock import timed
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import listed, name_groups, quoted, suggests, time_unit, words
+from drive_id.inspection.names import listed, name_groups, quoted, suggests, time_unit, unit_factor, words
 
 _RPM = {"rpm", "n", "min", "drehzahl", "speed"}
 """Words of a speed that is likely one of the shaft, in rpm."""
@@ -59,7 +59,7 @@ def _lines(
             unsure.append(f"The unit of {time} was taken to be s.")
     elif not len(table.stamp):
         unsure.append("The log has no time column, so each row is taken for an operating point.")
-    scale = "  scale: 0.001" if any("[ma]" in name.lower() or "(ma)" in name.lower() for name in currents) else ""
+    amperes, volts = (unit_factor(names[0], table.unit(names[0])) for names in (currents, voltages))
     shaft = bool(words(speed) & _RPM) and not words(speed) & _ELECTRICAL
     unit = "rpm" if words(speed) & {*_RPM, "erpm"} else "rad/s"
     unsure.append(
@@ -68,8 +68,9 @@ def _lines(
     )
     body = [f"defaults: {{{', '.join(where)}}}"] if where else []
     body += ["currents:", "  frame: dq", f"  fields: {listed(currents)}   # A, peak"]
-    body += [scale] if scale else []
+    body += [f"  scale: {amperes:g}"] if amperes != 1.0 else []
     body += ["voltages:", "  frame: dq", f"  fields: {listed(voltages)}   # V, peak, phase to neutral, as commanded"]
+    body += [f"  scale: {volts:g}"] if volts != 1.0 else []
     body += ["resolver:", f"  speed: {quoted(speed)}", f"  speed_unit: {unit}"]
     if shaft:
         body += ["  mechanical: true", "  pole_pairs: 1   # EDIT: that of the machine"]

@@ -276,6 +276,26 @@ def test_what_is_not_read_is_named_with_the_way_out(kind, tmp_path):
         check(path)
 
 
+OBJECTS = {
+    "table": r"s = table2struct\(T, 'ToScalar', true\)\.$",
+    "timetable": r"timetable2table\(T, 'ConvertRowTimes', false\).*s\.time = seconds\(T\.Properties\.RowTimes",
+    "timeseries": r"save a struct of its time and data instead",
+}
+
+
+@pytest.mark.parametrize("write", [tool_logs.matlab_object, tool_logs.matlab_object_73])
+@pytest.mark.parametrize("kind", OBJECTS)
+@pytest.mark.parametrize("beside", [False, True])
+def test_objects_of_matlab_are_named_with_the_way_out(write, kind, beside, tmp_path, samples, columns):
+    """Whatever small arrays are beside them; one beside a whole recording does no harm."""
+    path = write(tmp_path / "a.mat", kind, {"gains": np.arange(4.0)} if beside else {})
+    with pytest.raises(
+        BagError, match=f"an object of MATLAB's class {kind}, which only MATLAB reads: .*{OBJECTS[kind]}"
+    ):
+        check(path)
+    assert_same(drafted(write(tmp_path / "whole.mat", kind, columns))[0], samples)
+
+
 def test_the_content_tells_the_kind_not_the_name(tmp_path, columns):
     path = tool_logs.csv(tmp_path / "log.weird", columns)
     assert log_kind(path) == "csv"
@@ -306,6 +326,38 @@ def test_vesc_tool_logs_get_a_draft_for_static(coasting, period, tmp_path):
     np.testing.assert_allclose(log.data.speed, erpm * np.pi / 30)
     assert log.data.period == pytest.approx(period)
     assert ("inverter_off" in [warning.code for warning in log.warnings]) == bool(coasting)
+
+
+UNITS = {
+    "brackets": ("i{} [mA]", 1e3, "u{} [kV]", 1e-3),
+    "parentheses": ("i{} (kA)", 1e-3, "u{} (mV)", 1e3),
+    "ends of names": ("i{}_mA", 1e3, "u{}_mV", 1e3),
+    "the base": ("i{} [A]", 1.0, "u{}_V", 1.0),
+}
+
+
+@pytest.mark.parametrize("kind", UNITS)
+def test_units_in_the_names_of_columns_are_used(kind, tmp_path, samples, columns):
+    i_name, i_factor, u_name, u_factor = UNITS[kind]
+    renamed = {"t": columns["t"], "theta": columns["theta"]}
+    for phase in "abc":
+        renamed[i_name.format(phase)] = i_factor * columns[f"i{phase}"]
+        renamed[u_name.format(phase)] = u_factor * columns[f"u{phase}"]
+    found, draft, _ = drafted(tool_logs.csv(tmp_path / "a.csv", renamed))
+    assert_same(found, samples)
+    assert "EDIT" not in draft.text  # kV are no duty cycles
+
+
+def test_units_in_the_names_of_a_slow_log_are_used(tmp_path):
+    path, i_dq, _ = vesc(tmp_path / "a.csv")
+    text = path.read_text().split("\n", 1)
+    names = text[0].replace("d_axis_current", "id_kA").replace("q_axis_current", "iq_kA")
+    names = names.replace("d_axis_voltage", "vd_mV").replace("q_axis_voltage", "vq_mV")
+    path.write_text(f"{names}\n{text[1]}")
+    draft = check(path).draft
+    log = read_operating_log(path, parse_signals(draft.text, "the draft"))
+    np.testing.assert_allclose(log.data.i_dq, 1e3 * i_dq, atol=1e-3)
+    assert np.abs(log.data.u_dq).max() < 0.1
 
 
 def test_a_result_of_other_recordings_is_not_replaced(tmp_path, columns):

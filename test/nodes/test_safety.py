@@ -102,7 +102,7 @@ def bare_cell(safety, **attributes):
 
 
 def test_a_late_block_counts_by_its_samples_also_where_two_drives_publish(safety):
-    cell = bare_cell(safety, _zeros={}, behind=0.0, lag=0.0)
+    cell = bare_cell(safety, _zeros={}, behind=0.0, lag=0.0, heard=0)
 
     def when(first, published):
         return cell._sampled(SimpleNamespace(first_sample=first, a=[0.0] * 100, sample_period=1e-4), published)
@@ -112,6 +112,7 @@ def test_a_late_block_counts_by_its_samples_also_where_two_drives_publish(safety
     assert when(5100, 10.31) == pytest.approx(10.01)  # 0.3 s late
     assert when(100, 10.21) == pytest.approx(10.01)
     assert cell.lag == pytest.approx(0.3)
+    assert cell.heard == 2
     assert when(0, 20.0) == pytest.approx(20.0)  # restarted
 
 
@@ -123,6 +124,7 @@ def test_a_late_block_counts_by_its_samples_also_where_two_drives_publish(safety
         (["drive restarts", "second publisher sends references"], True),  # the drive belongs to nobody
         (["drive restarts", "emergency stop"], False),
         (["emergency stop", "publisher killed"], True),
+        (["samples of feedback frozen", "messages 0.4 s late"], True),
     ],
 )
 def test_which_hazards_of_a_script_have_a_time_of_their_own(safety, names, own):

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import gzip
 import json
+import struct
 import zipfile
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -191,4 +193,47 @@ def vesc_tool(path: Path, i_dq: np.ndarray, u_dq: np.ndarray, erpm: np.ndarray, 
     }  # fmt: skip
     text = ";".join(columns) + ";\n" + table(columns, ";", digits={"ms_today": "%.0f"}).replace("\n", ";\n")
     path.write_text(text)
+    return path
+
+
+def _element(kind: int, data: bytes) -> bytes:
+    return struct.pack("<II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def _matrix(flags: int, *parts: bytes) -> bytes:
+    return _element(14, _element(6, struct.pack("<II", flags, 0)) + b"".join(parts))
+
+
+def _doubles(name: str, x: np.ndarray) -> bytes:
+    return _matrix(6, _element(5, struct.pack("<ii", len(x), 1)), _element(1, name.encode()), _element(9, x.tobytes()))
+
+
+def matlab_object(path: Path, kind: str, arrays: Columns) -> Path:
+    """Write a file of MATLAB's version 7 with an object of a class, and arrays beside it.
+
+    Of an object it holds its class and numbers that stand for it; the data are in bytes that only MATLAB reads.
+    """
+    numbers = np.array([0xDD000000, 2, 1, 1, 1, 1], "<u4").tobytes()
+    stands = _matrix(13, _element(5, struct.pack("<ii", 6, 1)), _element(1, b""), _element(6, numbers))
+    head = b"MATLAB 5.0 MAT-file, Platform: GLNXA64".ljust(124, b" ") + b"\x00\x01IM"
+    variables = [_matrix(17, _element(1, b"log"), _element(1, b"MCOS"), _element(1, kind.encode()), stands)]
+    variables += [_doubles(name, np.asarray(x, "<f8")) for name, x in arrays.items()]
+    packed = [zlib.compress(each) for each in variables]
+    path.write_bytes(head + b"".join(struct.pack("<II", 15, len(each)) + each for each in packed))
+    return path
+
+
+def matlab_object_73(path: Path, kind: str, arrays: Columns) -> Path:
+    """Write one of version 7.3."""
+    import h5py
+
+    with h5py.File(path, "w", userblock_size=512) as file:
+        stands = file.create_dataset("log", data=np.array([[0xDD000000, 2, 1, 1, 1, 1]], np.uint32))
+        stands.attrs["MATLAB_class"] = np.bytes_(kind)
+        stands.attrs["MATLAB_object_decode"] = np.int32(3)
+        file.create_dataset("#refs#/a", data=np.zeros((1, 1000)))
+        for name, x in arrays.items():
+            file.create_dataset(name, data=x[None])
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124, b" ") + b"\x00\x02IM")
     return path

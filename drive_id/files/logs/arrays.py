@@ -17,6 +17,16 @@ from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, SlicedL
 from drive_id.files.storage.container import UnpackBudget
 
 _MOST_COLUMNS = 64  # of one array that are offered as signals
+_DECODED = "MATLAB_object_decode"
+"""Attribute of the datasets of version 7.3 that stand for objects."""
+_FEWEST_SIGNALS = 5
+"""Columns of a recording at least: two currents, two voltages, and an angle or a speed."""
+_REMEDIES = {
+    "table": "save a struct instead, s = table2struct(T, 'ToScalar', true).",
+    "timetable": "save a struct instead, s = table2struct(timetable2table(T, 'ConvertRowTimes', false), 'ToScalar', "
+    "true), and in it s.time = seconds(T.Properties.RowTimes - T.Properties.RowTimes(1)).",
+}
+"""What to do with objects of MATLAB, by their class."""
 _NAMED_DATA = (("Name", "Data"), ("label", "values"))
 """Fields that hold name and values in the structs of measurement tools."""
 
@@ -68,12 +78,16 @@ class MatLog(_HeldLog):
     kind = "mat"
 
     def __init__(self, path: Path) -> None:
+        self._objects: list[str] = []  # their classes
         found = read_matlab(path, limit=UnpackBudget(path.stat().st_size).limit)
         super().__init__(path, {name: value for name, value in found.items() if not name.startswith("__")})
-        if not self.groups and any(_is_opaque(value) for value in found.values()):
-            raise _table_error(path)
+        if self._objects and len(self._arrays) < _FEWEST_SIGNALS:
+            raise _object_error(path, self._objects[0])
 
     def _take(self, name: str, value: Any) -> None:
+        if _is_opaque(value):
+            self._objects.append(_class_name(value["s2"].ravel()[0]))
+            return
         if hasattr(value, "_fieldnames"):
             self._take_struct(name, value)
             return
@@ -82,8 +96,7 @@ class MatLog(_HeldLog):
             for k, entry in enumerate(array.ravel()[:_MOST_COLUMNS]):
                 self._take_struct(f"{name}[{k}]", entry, name)
             return
-        if not _is_opaque(value):
-            super()._take(name, value)
+        super()._take(name, value)
 
     def _take_struct(self, name: str, value: Any, array: str = "") -> None:
         """Add the fields of a struct, which is an element of the array of structs ``array`` if that is given.
@@ -107,11 +120,14 @@ def _is_opaque(value: Any) -> bool:
     return bool({"s0", "s1", "s2"} <= set(getattr(getattr(value, "dtype", None), "names", None) or ()))
 
 
-def _table_error(path: Path) -> NotABagError:
-    return NotABagError(
-        f"{path} holds a table, timetable or another object, which only MATLAB reads: save a struct instead, "
-        "s = table2struct(T, 'ToScalar', true)."
-    )
+def _class_name(said: Any) -> str:
+    text = said.decode("latin-1") if isinstance(said, bytes) else str(said)
+    return "".join(sign for sign in text if sign.isalnum() or sign in "._")
+
+
+def _object_error(path: Path, kind: str) -> NotABagError:
+    remedy = _REMEDIES.get(kind, "save a struct of its time and data instead, as s.time = T.Time, s.i_a = T.Data.")
+    return NotABagError(f"{path} holds an object of MATLAB's class {kind}, which only MATLAB reads: {remedy}")
 
 
 class Hdf5Log(SlicedLog):
@@ -125,6 +141,7 @@ class Hdf5Log(SlicedLog):
         self._file = h5py.File(path, "r")
         self._where: dict[str, tuple[str, int | None, int]] = {}  # dataset, its column or None, axis of time
         self._lengths: dict[str, tuple[str, int]] = {}
+        objects: list[str] = []
         separator = "." if matlab else "/"
 
         def take(name: str, item: Any) -> None:
@@ -135,7 +152,10 @@ class Hdf5Log(SlicedLog):
                         f"Dataset '{name:.60}' of {path} is stored in other files, which are not opened: write one "
                         "file that holds the samples itself."
                     )
-                self._take(name, name.replace("/", separator), item)
+                if _DECODED in item.attrs:
+                    objects.append(_class_name(item.attrs.get("MATLAB_class", "")))
+                else:
+                    self._take(name, name.replace("/", separator), item)
 
         try:
             self._file.visititems(take)
@@ -143,9 +163,9 @@ class Hdf5Log(SlicedLog):
             self._file.close()
             raise
         self.groups = grouped(self._lengths)
-        if matlab and not self.groups and "#subsystem#" in self._file:
+        if objects and len(self._where) < _FEWEST_SIGNALS:
             self._file.close()
-            raise _table_error(path)
+            raise _object_error(path, objects[0])
 
     def _take(self, dataset: str, name: str, item: Any) -> None:
         def add(own: str, kind: Any, k: int | None = None, axis: int = 0) -> None:

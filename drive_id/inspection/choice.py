@@ -85,17 +85,24 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     missing = [what for what, found in kinds if not found]
     if missing:
         raise ConfigurationError(
-            f"Nothing in {contents.path} looks like {' or '.join(missing)}: write the signals file by hand, from "
-            "config/signals_example_stranger.yaml or signals_example_columns.yaml, or without an angle for a slow log "
-            "in d and q, as in docs/slow_logs.md."
+            f"Nothing in {contents.path} looks like {' or '.join(missing)}{_blank(contents)}: write the signals file "
+            "by hand, from config/signals_example_stranger.yaml or signals_example_columns.yaml, or without an angle "
+            "for a slow log in d and q, as in docs/slow_logs.md."
         )
     choice = _chosen(currents, voltages, angles, tables)
     if choice is None:
         raise ConfigurationError(
-            f"{contents.path} holds no two sets of phase quantities that share their time with an angle: write the "
-            "signals file by hand, from config/signals_example_stranger.yaml or signals_example_columns.yaml."
+            f"{contents.path} holds no two sets of phase quantities that share their time with an angle"
+            f"{_blank(contents)}: write the signals file by hand, from config/signals_example_stranger.yaml or "
+            "signals_example_columns.yaml."
         )
     return tables, choice
+
+
+def _blank(contents: Contents) -> str:
+    """Return the clause that names columns whose values are all blank or invalid; empty if there are none."""
+    blank = [name for table in contents.tables for name, x in table.columns.items() if len(x) and np.isnan(x).all()]
+    return f" ({', '.join(blank[:3])} without a valid value)" if blank else ""
 
 
 # -- recognizing ---------------------------------------------------------------------------------------------------

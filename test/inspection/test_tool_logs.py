@@ -101,6 +101,17 @@ TOOLS = {  # writer, sample period, s, and missing samples
         lambda p, c: tool_logs.csv(p / "a.csv", {"time_ms": np.floor(1e3 * c["t"]), **c} | {"t": c["t"] * np.nan}),
         1e-4, 0,
     ),
+    "ms of six digits at 20 kHz, decimal commas": (
+        lambda p, c: tool_logs.csv(
+            p / "a.csv", {"time_ms": 1e3 * (50 + 0.5 * c["t"])} | {n: x for n, x in c.items() if n != "t"}, ";",
+            comma=True, digits={"time_ms": "%.6g"},
+        ), 5e-5, 0,
+    ),
+    "lost rows, tabs": (
+        lambda p, c: tool_logs.csv(
+            p / "a.txt", {n: np.delete(x, np.r_[1000:1007, 3000:3090, 5000]) for n, x in c.items()}, "\t"
+        ), 1e-4, 98,
+    ),
     "four digits from 10 s at 8 kHz": (
         lambda p, c: tool_logs.csv(p / "a.csv", stretched(c, 1.25e-4, 10.0), digits={"t": "%.4f"}), 1.25e-4, 0,
     ),
@@ -112,8 +123,16 @@ def test_logs_of_other_tools(tool, tmp_path, samples, columns):
     write, period, missing = TOOLS[tool]
     found, _, warnings = drafted(write(tmp_path, columns))
     assert_same(found, samples, period, missing=missing)
-    assert ("values_missing" in warnings) == bool(missing)
+    assert ("values_missing" in warnings) == (bool(missing) and not tool.startswith("lost rows"))
     assert ("gaps" in warnings) == bool(missing)
+
+
+def test_a_channel_without_a_valid_value_is_named(tmp_path, columns):
+    path = tool_logs.mdf(tmp_path / "a.mf4", columns, {"ib": np.arange(N)})
+    found = check(path)
+    assert found.draft is None
+    (finding,) = [finding for finding in found.findings if finding.code == "no_draft"]
+    assert "share their time with an angle (ib without a valid value): write the signals file" in finding
 
 
 SECONDS = {"ROS 2": ("sec", "nanosec"), "ROS 1": ("header.stamp.secs", "header.stamp.nsecs"), "C": ("ts_s", "ts_ns")}
@@ -146,6 +165,18 @@ def test_captures_whose_time_starts_again_are_runs(writer, tmp_path, samples, co
     assert "time_restarts" in warnings
     assert found.sample_period == pytest.approx(1e-4, rel=1e-6)
     assert "stamp_jitter" not in [finding.code for finding in check(path).findings]
+
+
+def test_captures_with_a_header_each_are_runs(tmp_path, samples, columns):
+    parts = [{name: x[rows] for name, x in columns.items()} for rows in np.array_split(np.arange(N), 3)]
+    parts = [part | {"t": part["t"] - part["t"][0] - 0.01} for part in parts]  # the trigger is at zero
+    path = tmp_path / "a.csv"
+    path.write_text("".join(",".join(part) + "\n" + tool_logs.table(part) for part in parts))
+    found, _, warnings = drafted(path)
+    np.testing.assert_allclose(found.i_abc, samples.i_abc, atol=1e-3)
+    assert found.run_starts.tolist() == [0, N // 3, 2 * N // 3]
+    assert found.sample_period == pytest.approx(1e-4, rel=1e-6)
+    assert "time_restarts" in warnings
 
 
 @pytest.mark.parametrize("restarts", [False, True])

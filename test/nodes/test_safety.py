@@ -131,6 +131,13 @@ def test_which_hazards_of_a_script_have_a_time_of_their_own(safety, names, own):
     assert safety._has_own_time(safety.HAZARDS[names[-1]], dict.fromkeys(names, 0.0)) == own
 
 
+def test_another_drive_is_told_by_its_messages_only(safety):
+    assert safety._can_be_told(["drive restarts", "~/stop"])
+    assert safety._can_be_told(["all messages lost", "second drive"])
+    assert not safety._can_be_told(["all messages lost", "drive restarts"])
+    assert not safety._can_be_told(["~/stop"])
+
+
 @pytest.mark.parametrize(
     ("replies", "found"),
     [

@@ -134,6 +134,7 @@ def test_an_independent_integration_is_followed_to_one_and_a_half_i_max(name, co
         assert np.abs(got[:, :2] - currents).max() < 1e-3 * found.i_max
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("version", FORMATS)
 def test_beyond_one_and_a_half_i_max_it_continues_with_the_slopes_and_says_so_once(version, tmp_path, capfd):
     found = drive("spm")

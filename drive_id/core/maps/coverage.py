@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull, Delaunay
 
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.types import BoolArray, FloatArray, IntArray
@@ -18,6 +17,8 @@ _ROUNDING = 1 + 1e-9  # holes are mostly a whole number of nodes wide, which mus
 
 def enclosed(inside: BoolArray) -> BoolArray:
     """Tell (D, Q) which nodes lie on straight lines between those of a mask: its convex hull."""
+    from scipy.spatial import ConvexHull, Delaunay  # noqa: PLC0415  # the trajectory publisher starts without scipy
+
     points = np.argwhere(inside)
     spread = np.linalg.matrix_rank(points - points[0]) if len(points) else 0
     if spread < 2:  # no point, one, or a line

@@ -12,20 +12,33 @@ from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _STRAY_SHARE = 0.1  # of the typical count of a node, below which samples beyond the rim count as stray
+_NEAR = 1e-9  # nodes, by which a node may lie beyond a line on which it is, by rounding
 _ROUNDING = 1 + 1e-9  # holes are mostly a whole number of nodes wide, which must not depend on rounding
 
 
 def enclosed(inside: BoolArray) -> BoolArray:
     """Tell (D, Q) which nodes lie on straight lines between those of a mask: its convex hull."""
-    from scipy.spatial import ConvexHull, Delaunay  # noqa: PLC0415  # the trajectory publisher starts without scipy
-
-    points = np.argwhere(inside)
-    spread = np.linalg.matrix_rank(points - points[0]) if len(points) else 0
-    if spread < 2:  # no point, one, or a line
+    rows = np.flatnonzero(inside.any(axis=1))
+    if len(rows) == 0:
         return np.array(inside)
-    nodes = np.argwhere(np.ones_like(inside))
-    within = Delaunay(points[ConvexHull(points).vertices]).find_simplex(nodes) >= 0
-    return np.asarray(within.reshape(inside.shape) | inside)
+    column, every = np.arange(inside.shape[1]), np.arange(rows[0], rows[-1] + 1)
+    last = _bulged(rows, np.where(inside, column, -1).max(axis=1)[rows], every)
+    first = -_bulged(rows, -np.where(inside, column, inside.shape[1]).min(axis=1)[rows], every)
+    out = np.array(inside)
+    out[every] |= (column >= first[:, None] - _NEAR) & (column <= last[:, None] + _NEAR)
+    return out
+
+
+def _bulged(x: IntArray, y: IntArray, at: IntArray) -> FloatArray:
+    """Return the least concave function above points (N,), x increasing, at other places (K,) between them."""
+    kept: list[int] = []
+    for k in range(len(x)):
+        while len(kept) > 1 and (y[kept[-1]] - y[kept[-2]]) * (x[k] - x[kept[-1]]) <= (y[k] - y[kept[-1]]) * (
+            x[kept[-1]] - x[kept[-2]]
+        ):
+            kept.pop()
+        kept.append(k)
+    return np.asarray(np.interp(at, x[kept], y[kept].astype(np.float64)))
 
 
 class Visits:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import ndimage
+from scipy import ndimage, spatial
 
 from drive_id.core.maps.coverage import Visits, _dilated, disc_coverage, enclosed
 
@@ -27,6 +27,22 @@ def test_what_data_enclose_is_their_convex_hull():
     assert not enclosed(half)[q > 0].any()
     for few in (np.zeros_like(ring), (d == 1) & (q == 2), (d == 1) & (np.abs(q) < 3)):
         np.testing.assert_array_equal(enclosed(few), few)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.3])
+def test_the_hull_is_that_of_qhull(share):
+    rng = np.random.default_rng(6)
+    compared = 0
+    for _ in range(60):
+        mask = rng.random(rng.integers(3, 40, 2)) < share
+        points = np.argwhere(mask)
+        if len(points) < 3 or np.linalg.matrix_rank(points - points[0]) < 2:
+            continue
+        hull = spatial.Delaunay(points[spatial.ConvexHull(points).vertices])
+        within = hull.find_simplex(np.argwhere(np.ones_like(mask)), tol=1e-9) >= 0
+        np.testing.assert_array_equal(enclosed(mask), within.reshape(mask.shape) | mask)
+        compared += 1
+    assert compared > 20
 
 
 def test_each_sample_counts_at_its_nearest_node():

@@ -18,7 +18,7 @@ from drive_id.core.result.identify import identify, score
 from drive_id.errors import ConfigurationError, CoverageError, DataError, OutputError, ResultError
 from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import write_recording
-from drive_id.fitting.fit import accumulate_bags, fit_bags
+from drive_id.fitting.fit import accumulate_bags, fit, fit_bags
 from drive_id.fitting.simulated import load_machine, run_experiment, simulate_bag
 from drive_id.fitting.sources import Sources
 from drive_id.reporting.tables import fit_table
@@ -257,3 +257,14 @@ def test_the_recording_reads_back_as_simulated(bag, simulation):
     np.testing.assert_array_equal(recording.samples.stamp, simulation.samples.stamp)
     np.testing.assert_allclose(recording.samples.u_abc, simulation.samples.u_abc, rtol=1e-6, atol=1e-5)
     assert recording.truth.details["seed"] == 0
+
+
+def test_joint_errors_add_up_to_those_of_the_map_and_reach_where_data_enclose_a_current():
+    settings = SimulationSettings(current_noise=1e-3, seed=1)
+    samples = run_experiment(machine_map("ipm"), settings, TRAJECTORY, seconds=2.0).samples
+    found = fit(samples).drive
+    inside, modes = found.flux_map.inside, found.error_modes
+    for errors, sigma in ((modes.psi_d, found.flux_map.sigma_d), (modes.psi_q, found.flux_map.sigma_q)):
+        np.testing.assert_allclose(np.linalg.norm(errors, axis=0)[inside], sigma[inside], rtol=0.02)
+    assert modes.known[inside].all()
+    assert (modes.known & ~inside).sum() > 100

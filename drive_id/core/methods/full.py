@@ -134,7 +134,7 @@ class FullMethod:
             magnet_coefficient=_magnet_coefficient(fit),
             statements=(*_statements(evidence, fit, inside, found), *_on_effort(fit, information)),
             fit=earlier,
-            error_modes=_error_modes(frame, grid, enclosed(inside), current, deviation),
+            error_modes=_error_modes(frame, grid, inside, sigma, current, deviation),
         )
 
 
@@ -299,22 +299,24 @@ def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def _error_modes(
-    frame: TrueFrame, grid: FloatArray, enclosed: BoolArray, current: FloatArray, drops: FloatArray
+    frame: TrueFrame, grid: FloatArray, inside: BoolArray, sigma: FloatArray, current: FloatArray, drops: FloatArray
 ) -> ErrorModes | None:
     """Return the joint errors, also where data only enclose the current, for a figure may need the map there.
 
     ``drops`` (C,) are the standard errors of the inverter's curve at currents (C,), A.
     """
-    fit, changes = frame.fit, frame.fit.assessment.changes
+    fit, changes, around = frame.fit, frame.fit.assessment.changes, enclosed(inside)
+    if (beyond := around & ~inside).any():
+        sigma = np.where(beyond[..., None], _sigma(frame, grid, around), sigma)
     columns, shapes = fit.model.phase_columns(), fit.model.shapes(current)
     curve = shapes @ changes[columns].mean(axis=1)
     others = np.concatenate([changes[[RESISTANCE]], curve[-1:], curve])
     errors = np.concatenate([[fit.sigma(RESISTANCE)], drops[-1:], drops])
     return error_modes(
         changes[fit.model.map],
-        frame.rows(grid[enclosed]),
-        _sigma(frame, grid, enclosed),
-        enclosed,
+        frame.rows(grid[around]),
+        sigma,
+        around,
         (others, errors),
         lambda psi: rotated(psi, frame.angle),
     )

@@ -106,7 +106,7 @@ class Result:
     def headline(self) -> tuple[Quantity, ...]:
         """What is asked for first, with standard errors: magnet flux, inductances, R, drop, i_max, peak torque, J.
 
-        What the data do not cover, or what is not known, is left out.
+        What samples do not even enclose, or what is not known, is left out.
         """
         known = self.provenance
         return headline(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,11 @@ class ErrorModes:
     resistance: FloatArray  # (M,), ohm
     inverter_voltage: FloatArray  # (M, C), V
     voltage_error: FloatArray  # (M,), V
+
+    @cached_property
+    def known(self) -> BoolArray:
+        """Where on the grid (D, Q) the errors of both fluxes are known."""
+        return np.asarray(self.psi_d.any(axis=0) & self.psi_q.any(axis=0))
 
     def __len__(self) -> int:
         return len(self.resistance)

@@ -10,7 +10,7 @@ import numpy as np
 
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.quantity import Quantity
-from drive_id.types import FloatArray
+from drive_id.types import BoolArray, FloatArray
 
 _NODES = 6
 """Grid points along each axis through which a polynomial is laid around a current."""
@@ -66,16 +66,21 @@ def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
         sigmas = (linear.sigma_psi_pm, linear.sigma_l_d, linear.sigma_l_q)
         rows = zip(names, values, sigmas, ("Wb", "H", "H"), strict=True)
         return tuple(Quantity(*row) for row in rows if math.isfinite(row[2]))
-    local, continued = _Local.at(drive, 0.0, 0.0), ""
-    if local is None:
-        local, continued = _Local.at(drive, 0.0, 0.0, enclosed=True), _ENCLOSED
+    tried = ((_Local.at(drive, 0.0, 0.0, usable), said) for usable, said in _usable(drive))
+    local, said = next(filter(lambda each: each[0] is not None, tried), (None, ""))
     if local is None:
         return ()
-    found = [local.inductance(axis, name, note + continued) for axis, name in enumerate(names[1:])]
+    found = [local.inductance(axis, name, note + said) for axis, name in enumerate(names[1:])]
     if drive.origin.turning:
-        sigma = _sigma(local.changes[0]) if continued else float(drive.flux_map.sigma(0.0, 0.0)[0])
-        found.insert(0, Quantity(names[0], float(local.psi[0]), sigma, "Wb", "At zero current." + continued))
-    return tuple(_unless_vague(quantity) if continued else quantity for quantity in found)
+        sigma = _sigma(local.changes[0]) if said else float(drive.flux_map.sigma(0.0, 0.0)[0])
+        found.insert(0, Quantity(names[0], float(local.psi[0]), sigma, "Wb", "At zero current." + said))
+    return tuple(_unless_vague(quantity) if said else quantity for quantity in found)
+
+
+def _usable(drive: IdentifiedDrive) -> list[tuple[BoolArray, str]]:
+    """Return where values may be told, (D, Q), and what must be said: with data first, then enclosed by them."""
+    enclosed = [] if drive.error_modes is None else [(drive.error_modes.known, _ENCLOSED)]
+    return [(drive.flux_map.inside, ""), *enclosed]
 
 
 def _of_shaft(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
@@ -88,18 +93,17 @@ def _of_shaft(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
 
 def _peak_torque(drive: IdentifiedDrive, radii: Iterable[float]) -> _Local | None:
     """Return the current of the largest positive torque on the first circle with data around it; radii in i_max."""
-    found = drive.flux_map
+    found, anywhere = drive.flux_map, np.ones_like(drive.flux_map.inside)
     for radius in (share * drive.i_max for share in radii):
         d, q = radius * np.cos(_COARSE), radius * np.sin(_COARSE)
         rough = _COARSE[(found.sampled(found.psi_d, d, q) * q - found.sampled(found.psi_q, d, q) * d).argmax()]
         tried = ((radius * np.cos(angle), radius * np.sin(angle)) for angle in rough + _FINE)
-        points = filter(None, (_Local.at(drive, *point, continued=True) for point in tried))
+        points = filter(None, (_Local.at(drive, *point, anywhere) for point in tried))
         summit = max(points, key=lambda point: float(point.per_pair[0]), default=None)
-        best = None
-        if summit is not None:
-            at = summit.i_d, summit.i_q
-            best = _Local.at(drive, *at) or _Local.at(drive, *at, enclosed=True)
-        if best is not None:
+        if summit is None:
+            continue
+        found_there = (_Local.at(drive, summit.i_d, summit.i_q, usable) for usable, _ in _usable(drive))
+        if (best := next(filter(None, found_there), None)) is not None:
             return best if best.per_pair[0] > 0 else None
     return None
 
@@ -119,24 +123,17 @@ class _Local:
     slope_changes: FloatArray  # (2, M), H
 
     @classmethod
-    def at(
-        cls, drive: IdentifiedDrive, i_d: float, i_q: float, *, continued: bool = False, enclosed: bool = False
-    ) -> _Local | None:
-        """Evaluate the polynomial through grid points with data that encloses a current; None where there is none.
+    def at(cls, drive: IdentifiedDrive, i_d: float, i_q: float, usable: BoolArray) -> _Local | None:
+        """Evaluate the polynomial through usable grid points that encloses a current; None where there is none.
 
-        Of all such polynomials, the one whose points lie most evenly around the current. With ``continued``, the
-        map's continuation counts as data; with ``enclosed``, the points whose joint errors are known do.
+        Of all such polynomials, the one whose points lie most evenly around the current. ``usable`` is (D, Q).
         """
         found, modes = drive.flux_map, drive.error_modes
-        usable = found.inside
-        if enclosed:
-            known = () if modes is None else (modes.psi_d, modes.psi_q)
-            usable = np.all([each.any(axis=0) for each in known] or [np.zeros_like(usable)], axis=0)
         starts_d, starts_q = (_starts(axis, x) for axis, x in ((found.i_d, i_d), (found.i_q, i_q)))
         pairs = sorted((d_off + q_off, m, n) for d_off, m in starts_d for q_off, n in starts_q)
         for _, m, n in pairs:
             at = np.s_[..., m : m + _NODES, n : n + _NODES]
-            if continued or usable[at].all():
+            if usable[at].all():
                 break
         else:
             return None

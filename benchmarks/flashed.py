@@ -24,18 +24,17 @@ from drive_id.analysis.analyze import analyze
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.bench.settings import SimulationSettings
 from drive_id.fitting.fit import fit
-from drive_id.fitting.result import Identification
 from drive_id.fitting.simulated import load_machine, run_experiment
-from drive_id.types import FloatArray
 
 MACHINES = ("ipm", "spm", "pmsyrm")
 SMALL = AnalysisSettings(current_points=3, torque_points=1, speed_points=7)
-DOCS = Path(__file__).parent.parent / "docs"
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+sys.path.insert(0, str(ROOT / "test" / "support"))  # machines, compiler and drives that err, which tests use as well
 
 
 def margins() -> Iterator[str]:
     """Yield the lines of the table of margins."""
-    sys.path.insert(0, str(DOCS.parent / "test" / "support"))  # where the machines are
     machines, header = import_module("flashed_machines"), import_module("compiled_header")
     yield "| Machine | stated margin | worst of 20 000 currents | bandwidth, 1000 Hz asked | points, 21 × 21 asked |"
     yield "|---|---:|---:|---:|---:|"
@@ -46,28 +45,9 @@ def margins() -> Iterator[str]:
         yield f"| {name} | {found.stated:.1f}° | {found.worst:.2f}° | {found.bandwidth:.0f} Hz | {points} |"
 
 
-def erring(result: Identification, amounts: FloatArray) -> Identification:
-    """Return the result with each cause of error by an amount (M,), in standard errors."""
-    modes, drive = result.drive.error_modes, result.drive
-    if modes is None:
-        raise SystemExit("The fit has no error modes.")
-    flux_map = replace(
-        drive.flux_map,
-        psi_d=drive.flux_map.psi_d + np.tensordot(amounts, modes.psi_d, 1),
-        psi_q=drive.flux_map.psi_q + np.tensordot(amounts, modes.psi_q, 1),
-    )
-    changed = replace(
-        drive,
-        flux_map=flux_map,
-        resistance=drive.resistance + float(amounts @ modes.resistance),
-        inverter_voltage=drive.inverter_voltage + amounts @ modes.inverter_voltage,
-    )
-    return replace(result, drive=changed)
-
-
 def scatter(draws: int) -> Iterator[str]:
     """Yield the lines of the table of standard errors over scatter."""
-    ratios: dict[str, list[str]] = {}
+    erring, ratios = import_module("erring").erring, dict[str, list[str]]()
     for name in MACHINES:
         machine = load_machine(name)
         result = fit(run_experiment(machine, SimulationSettings(current_noise=1e-3), seconds=10.0).samples)

@@ -302,7 +302,7 @@ class MachineModel:
     @property
     def _nodes(self) -> tuple[FloatArray, FloatArray]:
         """Currents of the grid's nodes and between them along both axes, A."""
-        return _halved(self.flux_map.i_d), _halved(self.flux_map.i_q)
+        return halved(self.flux_map.i_d), halved(self.flux_map.i_q)
 
     def control_inductances(self, i_d: ArrayLike, i_q: ArrayLike) -> FloatArray:
         """Return incremental inductances (..., 2, 2), H, that are positive definite where there are data.
@@ -356,7 +356,7 @@ class MachineModel:
         for _ in range(_HALVINGS):
             samples = whole.psi(np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1))
             surfaces = Surfaces.over(i_d, i_q, samples[..., 0], samples[..., 1])
-            i_d, i_q = _halved(i_d), _halved(i_q)
+            i_d, i_q = halved(i_d), halved(i_q)
             if definite(surfaces.slopes(*np.meshgrid(i_d, i_q, indexing="ij"))).all():
                 break
         return surfaces
@@ -418,8 +418,10 @@ def definite(slopes: FloatArray) -> BoolArray:
     return np.asarray((slopes[..., 0, 0] > 0) & (slopes[..., 0, 0] * slopes[..., 1, 1] > cross**2))
 
 
-def _halved(axis: FloatArray) -> FloatArray:
-    return np.sort(np.append(axis, axis[:-1] + np.diff(axis) / 2))
+def halved(axis: FloatArray, cells: BoolArray | None = None) -> FloatArray:
+    """Return an axis (N,) with its cells halved, or those of them that ``cells`` (N - 1,) marks."""
+    middle = axis[:-1] + np.diff(axis) / 2
+    return np.sort(np.append(axis, middle if cells is None else middle[cells]))
 
 
 def _currents(i_d: ArrayLike, i_q: ArrayLike) -> tuple[FloatArray, FloatArray]:

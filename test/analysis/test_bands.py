@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from erring import erring as changed
 from exact_results import exact_result
 from machine_kinds import KINDS, mean_torque
 from scipy.optimize import root
@@ -39,28 +40,9 @@ def with_modes(result, size):
     return replace(result, drive=drive)
 
 
-def shifted(result, k, sign):
-    """Return the result with one cause of error, by one standard error."""
-    modes, drive = result.drive.error_modes, result.drive
-    flux_map = replace(
-        drive.flux_map,
-        psi_d=drive.flux_map.psi_d + sign * modes.psi_d[k],
-        psi_q=drive.flux_map.psi_q + sign * modes.psi_q[k],
-    )
-    return replace(
-        result,
-        drive=replace(
-            drive,
-            flux_map=flux_map,
-            resistance=drive.resistance + sign * modes.resistance[k],
-            inverter_voltage=drive.inverter_voltage + sign * modes.inverter_voltage[k],
-        ),
-    )
-
-
 def both_shifted(result):
     """Return pairs of results, with each cause of error up and down."""
-    return [tuple(shifted(result, k, sign) for sign in (1, -1)) for k in range(len(result.drive.error_modes))]
+    return [(changed(result, one), changed(result, -one)) for one in np.eye(len(result.drive.error_modes))]
 
 
 def both_ways(result):
@@ -170,21 +152,8 @@ def test_the_band_of_the_corner_speed_is_the_scatter_of_corner_speeds(erring):
     """200 drives that differ by all causes of error at once."""
     small = drive_id.AnalysisSettings(current_points=3, torque_points=1, speed_points=3)
     figure = drive_id.analyze(erring, small).figures["corner_speed"]
-    modes, drive = erring.drive.error_modes, erring.drive
-    rng, found = np.random.default_rng(3), []
-    for normal in rng.normal(size=(200, len(modes))):
-        flux_map = replace(
-            drive.flux_map,
-            psi_d=drive.flux_map.psi_d + np.tensordot(normal, modes.psi_d, 1),
-            psi_q=drive.flux_map.psi_q + np.tensordot(normal, modes.psi_q, 1),
-        )
-        other = replace(
-            drive,
-            flux_map=flux_map,
-            resistance=drive.resistance + normal @ modes.resistance,
-            inverter_voltage=drive.inverter_voltage + normal @ modes.inverter_voltage,
-        )
-        found.append(corner_speed(MachineModel.of(replace(erring, drive=other)), LIMITS))
+    normal = np.random.default_rng(3).normal(size=(200, len(erring.drive.error_modes)))
+    found = [corner_speed(MachineModel.of(changed(erring, amounts)), LIMITS) for amounts in normal]
     assert figure.value == pytest.approx(np.mean(found), abs=0.3 * figure.sigma)
     assert figure.sigma == pytest.approx(np.std(found), rel=0.2)  # of 200, the scatter is known to 5 %
 

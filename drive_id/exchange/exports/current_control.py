@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from drive_id.analysis.machine import halved
 from drive_id.exchange.exports.axes import clean
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
@@ -83,7 +84,7 @@ def designed(table: MapTable, options: ExportOptions) -> CurrentControl:
     places = _Places(table)
     while any(marks.any() for marks in places.coarse):
         i_d, i_q = (
-            clean(np.sort(np.append(axis, (axis[:-1] + np.diff(axis) / 2)[marks])))
+            clean(halved(axis, marks))
             for axis, marks in zip((places.table.i_d, places.table.i_q), places.coarse, strict=True)
         )
         if max(len(i_d), len(i_q)) > _MOST_POINTS:

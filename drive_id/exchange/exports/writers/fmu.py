@@ -17,7 +17,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 
-from drive_id.analysis.machine import MachineModel
+from drive_id.analysis.machine import MachineModel, halved
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.exports.current_control import CurrentControl, cubic, divided
 from drive_id.exchange.exports.options import ExportOptions
@@ -115,10 +115,7 @@ def _finer(table: MapTable) -> MapTable:
     )
     while True:
         errors = [error / machine.i_max for error in current_errors(machine, i_d, i_q)]
-        finer = [
-            np.sort(np.append(axis, (axis[:-1] + np.diff(axis) / 2)[error > _ACCURATE / 2]))
-            for axis, error in zip((i_d, i_q), errors, strict=True)
-        ]
+        finer = [halved(axis, error > _ACCURATE / 2) for axis, error in zip((i_d, i_q), errors, strict=True)]
         if (len(finer[0]), len(finer[1])) == (len(i_d), len(i_q)):
             return table.on(i_d, i_q)
         if max(map(len, finer)) > _MOST_POINTS:

@@ -23,7 +23,7 @@ HELD_UP = 3.0  # s
 def safety():
     """The benchmark."""
     require_ros()
-    domain, lock = own_domain(apart=37)
+    domain, lock = own_domain()
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(ROOT / "benchmarks"))
         patch.setenv("ROS_DOMAIN_ID", str(domain))

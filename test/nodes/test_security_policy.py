@@ -55,17 +55,16 @@ def test_the_policy_grants_what_a_node_uses(ros, node):
     services = rights["services", "reply"]
     ros.wait(lambda: (node, "/") in graph.get_node_names_and_namespaces(), f"the node {node}")
     published = rights["topics", "publish"]
-    ros.wait(
-        lambda: (
-            services <= used(graph.get_service_names_and_types_by_node)
-            and published <= used(graph.get_publisher_names_and_types_by_node)
-            and rights["topics", "subscribe"] - FROM_TIME <= used(graph.get_subscriber_names_and_types_by_node)
-        ),
-        f"what {node} offers and listens to",
-    )
+    subscribed = rights["topics", "subscribe"] - FROM_TIME
+    for names, of in (
+        (services, graph.get_service_names_and_types_by_node),
+        (published, graph.get_publisher_names_and_types_by_node),
+        (subscribed, graph.get_subscriber_names_and_types_by_node),
+    ):
+        for name in sorted(names):
+            ros.wait(lambda name=name, of=of: name in used(of), f"{name} of {node}")
     assert used(graph.get_publisher_names_and_types_by_node) == published
-    listened = used(graph.get_subscriber_names_and_types_by_node)
-    assert listened - FROM_TIME == rights["topics", "subscribe"] - FROM_TIME
+    assert used(graph.get_subscriber_names_and_types_by_node) - FROM_TIME == subscribed
     assert used(graph.get_service_names_and_types_by_node) == services
 
 

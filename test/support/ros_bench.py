@@ -7,6 +7,7 @@ import gc
 import importlib
 import importlib.util
 import inspect
+import itertools
 import os
 import signal
 import socket
@@ -24,6 +25,9 @@ DEADLINE = 180.0
 
 DOMAINS = 101
 """That Fast DDS has ports for."""
+STRIDE = 13
+"""Domains from one bench of a process to its next: no multiple of it is one of ``DOMAINS``, a prime number."""
+_calls = itertools.count()
 HEARTBEATS = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com"><profiles><data_writer profile_name="test" is_default_profile="true">
   <times><heartbeatPeriod><sec>0</sec><nanosec>20000000</nanosec></heartbeatPeriod></times>
@@ -42,13 +46,14 @@ def require_ros():
         pytest.skip(complaint)
 
 
-def own_domain(apart=0):
+def own_domain():
     """Return a domain that no other test on this machine has, and the socket that holds it as long as it is open.
 
-    With ``apart``, it is not the one of an earlier module of this process, whose nodes may linger in the discovery.
+    It is not one that this process had before, whose nodes may linger in the discovery under the names of new ones.
     """
+    begin = os.getpid() + STRIDE * next(_calls)
     for attempt in range(DOMAINS):
-        domain = 1 + (os.getpid() + apart + attempt) % DOMAINS
+        domain = 1 + (begin + attempt) % DOMAINS
         lock = socket.socket(socket.AF_UNIX)
         try:
             lock.bind(f"\0drive_id_test_domain_{domain}")  # abstract: gone with the process, whatever its end

@@ -11,8 +11,9 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.full.calibration import CURRENT_ROTATION, VOLTAGE_MISMATCH, Calibration
-from drive_id.core.full.effect_search import Taken, several_speeds
+from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.fit import FullFit
+from drive_id.core.full.linearized import Taken
 from drive_id.core.full.model import EFFECTS, RESISTANCE
 from drive_id.core.full.solver import LEAST_TOLD
 from drive_id.core.full.standard_errors import sigma as fitted_sigma

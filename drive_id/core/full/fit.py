@@ -12,8 +12,8 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import Delay, DelayJump, delay_jump
-from drive_id.core.full.effect_search import EffectSearch, FoundEffects
 from drive_id.core.full.lack_of_fit import LackOfFit
+from drive_id.core.full.linearized import EffectSearch, FoundEffects
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, effects_to_try, select, tested_causes
 from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver, correct_attenuation
@@ -211,7 +211,8 @@ def fit_full(
         spec = selection.search.solution.spec
         expected = tuple(order for order in spec.orders if order in settings.harmonic_orders)
         reciprocal = solver.solve(replace(spec, effects=solution.spec.effects, orders=expected))
-        misfit = replace(misfit, causes=tested_causes(sums, solver, reciprocal, effects_to_try(sums, settings)))
+        causes = tested_causes(sums, solver, reciprocal, effects_to_try(sums, settings), noise)
+        misfit = replace(misfit, causes=causes)
     jump = None
     if misfit.ratio > LEAST_TOLD:
         every = Windows.joined(list(kept))

@@ -11,7 +11,6 @@ from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full.delay import estimate_delay
 from drive_id.core.full.effect_search import (
     LEAST_BESIDE,
-    EffectSearch,
     effect_savings,
     plausible_effects,
     search_effects,
@@ -19,6 +18,7 @@ from drive_id.core.full.effect_search import (
     with_effects_only,
 )
 from drive_id.core.full.effects import OF_SENSORS
+from drive_id.core.full.linearized import EffectSearch
 from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
 from drive_id.core.full.solver import LEAST_SAVED, CurrentNoise, FullSolution, Solver, predictable
@@ -105,64 +105,67 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     sums, solver, start = _resolved(sums, solver, start, bounded)
     # without a motion of the rotor, only windows near zero current tie the map to its value there
     between = between_crossings(sums, solver, start, noise) if ORIGINS[settings.method].turning else None
-    if between and not _offset_explains(sums, solver, start, noise):
+    if between and not (
+        _offset_explains(sums, solver, start, noise) or _free_maps_explain(sums, solver, start, settings, turn, noise)
+    ):
         sums, crossings = between
         noise = CurrentNoise.met(noise.variance, sums.kept(), noise.angle_variance)
         solver = Solver.over(sums)
         start = _aligned(sums, solver, settings, turn, noise)
     start = _undelayed(solver, start, settings)
     del solver  # its matrices are large
-    selection = _select(sums, start, settings, turn, noise)
+    candidate = _candidate(sums, start, settings, turn, noise)
     known = sums.model.orders
     for _ in range(_SEARCHES if settings.search_orders else 0):
-        found = selection.search.sums
-        new = unexpected_orders(sums.model, selection.solution.estimate, found.kept(), known)
-        caused = [order for name, order in _CAUSED.items() if name in selection.solution.spec.effects]
+        found, solution = candidate.search.sums, candidate.search.solution
+        new = unexpected_orders(sums.model, solution.estimate, found.kept(), known)
+        caused = [order for name, order in _CAUSED.items() if name in solution.spec.effects]
         new = tuple(order for order in new if order in distinct_orders((*known, order), turn) and order not in caused)
         if not new:
             break
-        sums = sums.over(replace(sums.model, orders=(*selection.solution.spec.orders, *new)[:MOST_ORDERS]))
+        sums = sums.over(replace(sums.model, orders=(*solution.spec.orders, *new)[:MOST_ORDERS]))
         known = (*known, *new)
         solver = Solver.over(sums)
         start = _undelayed(solver, _aligned(sums, solver, settings, turn, noise), settings)
         del solver
-        selection = _select(sums, start, settings, turn, noise)
-    if selection.search.found.taken:  # what they explain may have hidden where the cells are too coarse
-        selection = _with_finer_cells(sums, selection, settings, turn, bounded)
-    return replace(selection, crossings=crossings)
+        candidate = _candidate(sums, start, settings, turn, noise)
+    if candidate.search.found.taken:  # what they explain may have hidden where the cells are too coarse
+        candidate = _with_finer_cells(sums, candidate, settings, turn, bounded)
+    return replace(_with_free_maps(sums, candidate, settings, turn, noise), crossings=crossings)
 
 
 def _with_finer_cells(
-    sums: WindowSums, selection: Selection, settings: FitSettings, turn: float, noise: CurrentNoise
-) -> Selection:
-    """Return the selection over finer cells if held-out data gain by them, else this one.
+    sums: WindowSums, candidate: _Candidate, settings: FitSettings, turn: float, noise: CurrentNoise
+) -> _Candidate:
+    """Return the candidate over finer cells if held-out data gain by them, else this one.
 
     Cells are divided once where the map bends, if there is an effect that turns the flux: only there iron loss differs
     from a delay, and coarse cells decide wrongly. Then cells are divided where the residuals exceed noise.
     """
     bent = False
     for _ in range(_REFINEMENTS):
-        solution, resolution = selection.solution, selection.solver.model.resolution
-        turned, cells, penalty = turning(selection.search.found.taken), resolution, solution.spec.penalty
+        search = candidate.search
+        solution, resolution = search.solution, search.solver.model.resolution
+        turned, cells, penalty = turning(search.found.taken), resolution, solution.spec.penalty
         if turned and not bent:
-            cells = resolution.where_bent(*_bends(selection.solver.model, solution))
+            cells = resolution.where_bent(*_bends(search.solver.model, solution))
         by_misfit = cells is resolution
         if by_misfit:
-            misfit = _misfit(selection.search.sums, solution, noise, selection.solver.total_voltage)
+            misfit = _misfit(search.sums, solution, noise, search.solver.total_voltage)
             cells, penalty = (cells.finer(misfit) if misfit.shows else cells), _SMOOTH
         if cells is resolution or not solution.spec.reciprocal:
             break
         finer = sums.over(replace(sums.model, cells=cells))
         solver, delay = Solver.over(finer), 0.0 if settings.calibrate_delay else settings.voltage_delay
         spec = replace(solution.spec, effects=(), delay=delay, penalty=penalty)
-        found = _select(finer, solver.solve(spec), replace(settings, maps="reciprocal"), turn, noise)
-        error, other = (each.solver.left_out(each.solution.spec)[:, 0] for each in (selection, found))
-        if (_saves if turned != turning(found.search.found.taken) else _clearly_better)(solver, error, other):
-            selection = found
+        found = _candidate(finer, solver.solve(spec), settings, turn, noise)
+        better = _saves if turned != turning(found.search.found.taken) else _clearly_better
+        if better(solver, candidate.error, found.error):
+            candidate = found
         elif by_misfit:
             break
         bent = True
-    return selection
+    return candidate
 
 
 def _resolved(
@@ -264,44 +267,44 @@ def _offset_explains(sums: WindowSums, solver: Solver, start: FullSolution, nois
         return False
     short = Windows.joined(sums.kept_short())
     by_offset = replace(short, effects=found.found.columns(short))
+    return _calms_crossings((solver, start, short), (found.solver, found.solution, by_offset), noise)
+
+
+def _free_maps_explain(
+    sums: WindowSums, solver: Solver, start: FullSolution, settings: FitSettings, turn: float, noise: CurrentNoise
+) -> bool:
+    """Tell whether maps that are not reciprocal explain the misfit at zero crossings, which is then all over."""
+    if settings.maps != "auto" or not _may_be_free(start.spec, turn):
+        return False
+    freed = Solver.over(sums.freed(start.spec.orders))
+    free, short = freed.solve(replace(start.spec, reciprocal=False)), Windows.joined(sums.kept_short())
+    return _calms_crossings((solver, start, short), (freed, free, short), noise)
+
+
+_Fit = tuple[Solver, FullSolution, Windows]
+"""Of the sums, and short windows to judge it by."""
+
+
+def _calms_crossings(before: _Fit, after: _Fit, noise: CurrentNoise) -> bool:
+    """Tell whether residuals at zero crossings exceed the others in one fit, and do not in another one."""
     return any(
-        crossings_exceed(solver, start, short, expected_by)
-        and not crossings_exceed(found.solver, found.solution, by_offset, expected_by)
+        crossings_exceed(*before, expected_by) and not crossings_exceed(*after, expected_by)
         for expected_by in (noise.at_ends, noise.expected)
     )
 
 
-def _select(
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A variant with its effects, and its squared errors (F,) on data left out, (Vs)^2."""
+
+    search: EffectSearch
+    error: FloatArray
+
+
+def _candidate(
     sums: WindowSums, start: FullSolution, settings: FitSettings, turn: float, noise: CurrentNoise
-) -> Selection:
-    """Select among the harmonics that the sums cover, from a solution with all of them and without effects."""
-    model, orders, i_dq = sums.model, start.spec.orders, noise.windows.i_dq[:, 0]
-    search, error = _first_candidate(sums, start, noise, settings, turn)
-    solution, spec, advantage = search.solution, search.solution.spec, np.nan
-    slow = turn < _FREE_TURN and abs(spec.delay) < MOST_DELAY  # a larger delay can mimic any misfit
-    if settings.maps == "auto" and slow and _shows(search.solver, error):
-        free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
-        freed = search.sums.freed(spec.orders)
-        solver = Solver.over(freed)
-        if freed.windows != sums.windows:
-            error = solver.left_out(spec)[:, 0]
-        advantage = _advantage(solver, free, error)
-        if not np.isnan(advantage):
-            freed = search.sums.freed(model.orders)
-            if search.sums.effects is None:
-                freed = freed.with_effects(search.found.columns)
-            search = replace(search, sums=freed, solver=Solver.over(freed))
-            everything = search.solver.solve(replace(free, orders=orders))
-            significant = _significant_orders(freed.model, everything, i_dq)
-            spec = search.solver.best_penalty(replace(free, orders=significant))[0]
-            solution = search.solver.solve(spec)
-    return Selection(solution, search, advantage)
-
-
-def _first_candidate(
-    sums: WindowSums, start: FullSolution, noise: CurrentNoise, settings: FitSettings, turn: float
-) -> tuple[EffectSearch, FloatArray]:
-    """Detect effects or a delay, then the harmonics, then the penalty; return the errors (F,) left out, too, (Vs)^2."""
+) -> _Candidate:
+    """Detect effects or a delay, then the harmonics, then the penalty, from a solution with all harmonics."""
     allowed = effects_to_try(sums, settings) if start.spec.reciprocal else ()
     calibrated = settings.calibrate_delay and start.spec.reciprocal
     search = search_effects(sums, start, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
@@ -313,14 +316,46 @@ def _first_candidate(
         significant = _significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])
         spec, error = solver.best_penalty(replace(solution.spec, orders=significant))
         final = solver.solve(spec)
-        plausible = plausible_effects(final, solver.model, noise.period)
+        plausible = plausible_effects(final, solver.model, noise)
         if plausible == spec.effects:
             wide = _with_wide_curve(search, final)
             if wide is not final:
                 spec, error = solver.best_penalty(wide.spec)
                 final = solver.solve(spec)
-            return replace(search, solution=final), error
+            return _Candidate(replace(search, solution=final), error)
         search = with_effects_only(sums, replace(search, solution=solution), plausible)
+
+
+def _with_free_maps(
+    sums: WindowSums, candidate: _Candidate, settings: FitSettings, turn: float, noise: CurrentNoise
+) -> Selection:
+    """Select free maps if they predict data left out clearly better than the best reciprocal variant."""
+    search, error = candidate.search, candidate.error
+    spec = search.solution.spec
+    if not (settings.maps == "auto" and _may_be_free(spec, turn) and _shows(search.solver, error)):
+        return Selection(search.solution, search)
+    free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
+    freed = search.sums.freed(spec.orders)
+    solver = Solver.over(freed)
+    if freed.windows != sums.windows:
+        error = solver.left_out(spec)[:, 0]
+    advantage = _advantage(solver, free, error)
+    if np.isnan(advantage):
+        return Selection(search.solution, search)
+    orders = _first_spec(search.sums, settings, turn).orders
+    freed = search.sums.freed(search.sums.model.orders)
+    if search.sums.effects is None:
+        freed = freed.with_effects(search.found.columns)
+    search = replace(search, sums=freed, solver=Solver.over(freed))
+    everything = search.solver.solve(replace(free, orders=orders))
+    significant = _significant_orders(freed.model, everything, noise.windows.i_dq[:, 0])
+    spec = search.solver.best_penalty(replace(free, orders=significant))[0]
+    return Selection(search.solver.solve(spec), search, advantage)
+
+
+def _may_be_free(spec: ModelSpec, turn: float) -> bool:
+    """Tell whether free maps are tried: a large delay can mimic any misfit."""
+    return turn < _FREE_TURN and abs(spec.delay) < MOST_DELAY
 
 
 def _aligned(sums: WindowSums, solver: Solver, settings: FitSettings, turn: float, noise: CurrentNoise) -> FullSolution:
@@ -515,15 +550,16 @@ def unexpected_orders(
     return tuple(int(order) for order in strongest if shares[order - 1] > least and order not in known)
 
 
-def tested_causes(sums: WindowSums, solver: Solver, solution: FullSolution, effects: Sequence[str]) -> dict[str, float]:
+def tested_causes(
+    sums: WindowSums, solver: Solver, solution: FullSolution, effects: Sequence[str], noise: CurrentNoise
+) -> dict[str, float]:
     """Return the share of the squared residuals that each possible cause would explain.
 
     Keys are the names of ``effects`` that are not in the solution, ``devices`` for drops that differ between the
     phases, and ``harmonic h`` for the rotor-position harmonic that explains most.
     """
     model, kept = sums.model, sums.kept()
-    period = float(kept[0].period[0])
-    causes = effect_savings(solver, solution, [name for name in effects if name not in solution.spec.effects], period)
+    causes = effect_savings(solver, solution, [name for name in effects if name not in solution.spec.effects], noise)
     causes["devices"] = solver.saving(solution, slice(model.drops.start, model.drops.start + 3 * model.shapes.usual))[0]
     shares = explained_shares(model, solution.estimate, kept)
     causes[f"harmonic {1 + int(shares.argmax())}"] = float(shares.max())

@@ -28,8 +28,9 @@ from drive_id.core.full.model import (
     roughness,
     sum_basis,
 )
+from drive_id.core.full.reduced import Reduced, best_delay, voltage_columns
 from drive_id.core.full.window_sums import WindowSums, with_products
-from drive_id.core.full.windows import SHIFTS, Windows
+from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.core.numerics.normal_equations import congruent, factorize, inverse_of, nested, penalized, times, unpacked
 from drive_id.core.numerics.threads import in_threads
@@ -319,19 +320,27 @@ class Solver:
         squares : float
             Sum of squared residuals with this delay, (Vs)^2.
         """
-        columns = np.r_[VOLTAGE, SHIFT, self.model.effect("remainder")]
-        left = self._left(solution, columns)
-        best, least, bend = 0.0, np.inf, 1.0
-        for low in SHIFTS:
-            start, end = (np.concatenate([[1.0], -delay_shares(low + e), [-1.0]]) for e in (0.0, 1.0))
-            step = end - start
-            bend_here = float(step @ left @ step)
-            where = float(np.clip(-(step @ left @ start) / max(bend_here, 1e-300), 0.0, 1.0))
-            at = start + where * step
-            if float(at @ left @ at) < least:
-                best, least, bend = low + where, float(at @ left @ at), bend_here
+        found, least, bend = best_delay(self._left(solution, voltage_columns(self.model)))
         sigma = float(np.sqrt(max(least, 0.0) / max(float(self.counts.sum()), 1.0) / max(bend, 1e-300)))
-        return best, sigma, least
+        return found, sigma, least
+
+    def reduced(self, spec: ModelSpec, without: int | None = None) -> Reduced:
+        """Eliminate the unknowns of a variant, but for its effects and its delay, over all folds or without one."""
+        known = self._normal(replace(spec, effects=(), delay=0.0))
+        total, normal = self.total, known.normal
+        if without is not None:
+            effects = None if self._effects is None else self._effects[without]
+            fold = with_products(unpacked(self._folds[without], self.model.summed.size), effects, self.model)
+            normal = normal - congruent(known.t, fold)
+            total = np.subtract(total, fold, out=fold)
+        columns = Reduced.columns(self.model)
+        right = total[:, columns]
+        moment = known.t.T @ right
+        factor, scale = factorize(normal, known.penalty(spec.penalty))
+        half = linalg.solve_triangular(factor, moment / scale[:, None], lower=True, check_finite=False)
+        form = right[columns] - half.T @ half
+        back = linalg.solve_triangular(factor, half, lower=True, trans="T", check_finite=False) / scale[:, None]
+        return Reduced(self.model, form, back, known.t)
 
     def _left(self, solution: FullSolution, columns: IntArray) -> FloatArray:
         """Return the cross products of columns after projecting out the unknowns of a solution."""

@@ -303,6 +303,10 @@ class WindowSums:
         """Return the kept segments in order of time."""
         return [self._kept[number] for number in sorted(self._kept)]
 
+    def kept_folds(self) -> list[int]:
+        """Return the fold of each kept segment in order of time."""
+        return [number % FOLDS for number in sorted(self._kept)]
+
     def kept_short(self) -> list[Windows]:
         """Return the short windows of the kept segments in order of time."""
         return [self._short[number] for number in sorted(self._kept)]

@@ -1,0 +1,136 @@
+"""Effects in a fit: what was found, and the columns of effects linearized about the fit until both agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from drive_id.core.full.delay import Delay
+from drive_id.core.full.effects import EffectColumns
+from drive_id.core.full.link_ripple import ripple_frequency
+from drive_id.core.full.model import VOLTAGE, FullModel, ModelSpec
+from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver
+from drive_id.core.full.window_sums import WindowSums
+from drive_id.core.full.windows import SEARCHED, Windows
+from drive_id.types import TINY
+
+DELAY = "voltage_delay"
+_LEAST_VOLTAGE = 5e-5
+"""Rms of a remainder that matters, relative to that of the integrated voltages."""
+OF_MISFIT = 0.5
+"""Share of the squared residuals beyond noise that a variation of the DC link must explain: the misfit of a map recurs
+with the trajectory and the power, and a part of it looks like theirs."""
+_GROWN = 1.03
+"""Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
+_SETTLING, _SETTLED = 5, 0.01
+"""Most linearizations, and the relative decrease of the residuals below which they end."""
+
+
+@dataclass(frozen=True)
+class Taken:
+    """An effect that was taken into the model."""
+
+    name: str  # in ``EFFECTS``, or ``DELAY``
+    rivals: tuple[str, ...]  # effects that would have explained nearly as much
+
+
+@dataclass(frozen=True, eq=False)
+class FoundEffects:
+    """What a search has found."""
+
+    columns: EffectColumns  # linearized about the estimate
+    taken: tuple[Taken, ...] = ()  # in the order in which they were found
+    delay: Delay = field(default_factory=Delay)  # of the voltages, if it was requested
+
+
+@dataclass(frozen=True, eq=False)
+class EffectSearch:
+    """The solution with the selected effects."""
+
+    sums: WindowSums  # with the columns of all effects if any effect was selected; otherwise without, to save memory
+    solver: Solver  # of sums with the columns of all effects
+    solution: FullSolution
+    found: FoundEffects
+
+
+def first_columns(
+    sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole_pairs: int | None
+) -> EffectColumns:
+    """Return the columns about a fit without effects; default of the pole pairs: those that explain most."""
+    model, windows = sums.model, Windows.joined(list(sums.kept()))
+    known, mean, ripple = np.isfinite(windows.link), np.nan, 0.0
+    if known.any():
+        voltage = windows.voltage[known]
+        mean = float(np.vdot(voltage, windows.link[known]).real / np.vdot(voltage, voltage).real)
+    elif _misfits(model, solution, noise):
+        ripple = ripple_frequency(model, solution.estimate, [windows])[0]
+    columns = EffectColumns(model, solution.estimate, float(windows.heat.max()), mean, pole_pairs, ripple)
+    if pole_pairs is not None:
+        return columns
+    return replace(columns, pole_pairs=columns.likely_pole_pairs(windows.thinned(SEARCHED)))
+
+
+def settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> EffectSearch:
+    """Solve about the measured currents or, where effects move them far, about those in the map.
+
+    The latter takes the kept windows only. If these are not all, it must fit clearly better.
+    """
+    move = columns.bends(spec, sums.kept())
+    if move and not sums.thinned:
+        return _iterated(sums, spec, columns, move=True)
+    start = _iterated(sums, spec, columns)
+    moved = _iterated(sums, spec, start.found.columns, move=True) if move else start
+    return moved if _GROWN * moved.solution.residual_rms < start.solution.residual_rms else start
+
+
+def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move: bool = False) -> EffectSearch:
+    """Solve, and linearize about the solution again, until the residuals settle or grow.
+
+    They grow where an effect moves the current by so much that the linearization fails.
+    """
+    best: EffectSearch | None = None
+    for _ in range(_SETTLING):
+        extended = (sums.changed(columns.moved) if move else sums).with_effects(columns)
+        solver = Solver.over(extended)
+        found = EffectSearch(extended, solver, solver.solve(spec), FoundEffects(columns))
+        change = -1.0 if best is None else found.solution.residual_rms / best.solution.residual_rms - 1.0
+        if best is not None and change > _GROWN - 1.0:
+            return best
+        best = found
+        if -change < _SETTLED or not (spec.effects or remains(solver)):
+            break
+        columns = replace(columns, estimate=found.solution.estimate)
+        if "link_ripple" in spec.effects:
+            beside = columns.estimate.copy()
+            beside[solver.model.effect("link_ripple")] = 0.0
+            columns = replace(
+                columns, ripple=ripple_frequency(solver.model, beside, extended.kept(), columns.ripple)[0]
+            )
+    return found
+
+
+def with_hidden_ripple(sums: WindowSums, state: EffectSearch, noise: CurrentNoise) -> EffectSearch:
+    """Look again for a ripple of the DC link, whose frequency could not be found below a larger effect."""
+    model, solution, columns = state.solver.model, state.solution, state.found.columns
+    if np.isfinite(columns.link) or "link_ripple" in solution.spec.effects or not _misfits(model, solution, noise):
+        return state
+    ripple, share = ripple_frequency(model, solution.estimate, state.sums.kept())
+    explains = share > OF_MISFIT * beyond_noise(model, solution, noise)
+    return settled(sums, solution.spec, replace(columns, ripple=ripple)) if explains else state
+
+
+def beyond_noise(model: FullModel, solution: FullSolution, noise: CurrentNoise) -> float:
+    """Return the share of the squared residuals that noise does not explain."""
+    return float(1.0 - noise.explained(model, solution) / max(solution.residual_rms**2, TINY))
+
+
+def _misfits(model: FullModel, solution: FullSolution, noise: CurrentNoise) -> bool:
+    """Tell whether to look for a ripple of the DC link, which takes as long as all other effects."""
+    return solution.residual_rms**2 > LEAST_TOLD**2 * noise.explained(model, solution)
+
+
+def remains(solver: Solver) -> bool:
+    """Tell whether the remainder matters without effects: what the current does between samples."""
+    own = solver.model.effect("remainder").start
+    return bool(solver.total[own, own] > _LEAST_VOLTAGE**2 * solver.total[VOLTAGE, VOLTAGE])

@@ -1,0 +1,122 @@
+"""The normal equations of a variant after one elimination, from which any set of effects follows at once.
+
+All unknowns of the variant but its effects and its delay are projected out of the columns ``C`` of the voltages, their
+shifts, the effects and the remainder: ``S = C'C - C'Z (Z'Z + P)^-1 Z'C``. Of this matrix of some hundred columns, a set
+of effects E with the voltages v leaves the sum of squares ``v'(S_vv - S_vE S_EE^-1 S_Ev) v``, and the effects are
+``S_EE^-1 S_Ev v``. The linear part of the map follows by substitution.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from drive_id.core.full.model import SHIFT, VOLTAGE, FullModel, delay_shares
+from drive_id.core.full.windows import SHIFTS
+from drive_id.types import TINY, FloatArray, IntArray
+
+_DEPENDENT = 1e-9
+"""Singular value, relative to the largest, from which on columns of effects depend on one another."""
+
+
+def voltage_columns(model: FullModel) -> IntArray:
+    """Return the columns of the voltages, their shifts, and the remainder, of which a delay is a combination."""
+    return np.asarray(np.r_[VOLTAGE, SHIFT, model.effect("remainder")], np.int64)
+
+
+def delayed(delay: float) -> FloatArray:
+    """Return the combination of :func:`voltage_columns` that is the integral of the delayed voltages."""
+    return np.concatenate([[1.0], -delay_shares(delay), [-1.0]])
+
+
+_STARTS = np.array([delayed(low) for low in SHIFTS])
+_STEPS = np.array([delayed(low + 1.0) for low in SHIFTS]) - _STARTS
+
+
+def best_delay(left: FloatArray) -> tuple[float, float, float]:
+    """Return the delay, samples, that leaves least of a form over :func:`voltage_columns`, that, and the bend there."""
+    bend = np.einsum("kb,bc,kc->k", _STEPS, left, _STEPS)
+    slope = np.einsum("kb,bc,kc->k", _STEPS, left, _STARTS)
+    where = np.clip(-slope / np.maximum(bend, TINY), 0.0, 1.0)
+    at = _STARTS + where[:, None] * _STEPS
+    squares = np.einsum("kb,bc,kc->k", at, left, at)
+    best = int(np.argmin(squares))
+    return float(SHIFTS[best] + where[best]), float(squares[best]), float(bend[best])
+
+
+@dataclass(frozen=True, eq=False)
+class Subset:
+    """A set of effects, solved for every combination of voltages."""
+
+    names: frozenset[str]
+    left: FloatArray  # (B, B), form over the voltages' columns that this set leaves, (Vs)^2
+    values: dict[str, FloatArray]  # (K, B), value of each effect per column of the voltages
+
+    def squares(self, delay: float) -> float:
+        """Return the sum of squares, (Vs)^2, with the penalties' share, for a delay, samples."""
+        voltage = delayed(delay)
+        return max(float(voltage @ self.left @ voltage), 0.0)
+
+    def value(self, name: str, delay: float) -> FloatArray:
+        """Return the values (K,) of an effect."""
+        return np.asarray(self.values[name] @ delayed(delay))
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """The columns that are left after one elimination.
+
+    Parameters
+    ----------
+    form : (C, C) float
+        S over the columns of the voltages, then those of the effects.
+    back : (M, C) float
+        Values of the eliminated unknowns per unit of each of these columns on the right.
+    t : (summed.size, M) sparse
+        From the eliminated unknowns to the columns of the sums.
+    """
+
+    model: FullModel
+    form: FloatArray
+    back: FloatArray
+    t: sparse.csr_array
+
+    @staticmethod
+    def columns(model: FullModel) -> IntArray:
+        """Return the columns (C,) of the sums that are not eliminated; those of the voltages come first."""
+        effects = np.arange(model.effects.start, model.effects.stop)
+        base = voltage_columns(model)
+        return np.concatenate([base, np.setdiff1d(effects, base)])
+
+    def _own(self, names: Iterable[str]) -> list[tuple[str, IntArray]]:
+        first = len(voltage_columns(self.model)) - self.model.effects.start
+        return [(name, first + np.arange(own.start, own.stop)) for name in names for own in [self.model.effect(name)]]
+
+    def subset(self, names: frozenset[str]) -> Subset:
+        """Return a set of effects by their names in ``EFFECTS``, solved."""
+        base, own = len(voltage_columns(self.model)), self._own(sorted(names))
+        if not own:
+            return Subset(names, self.form[:base, :base], {})
+        places = np.concatenate([place for _, place in own])
+        within, across = self.form[np.ix_(places, places)], self.form[places, :base]
+        scale = np.sqrt(np.maximum(np.diag(within), TINY))
+        values = np.linalg.lstsq(within / scale[:, None] / scale, across / scale[:, None], rcond=_DEPENDENT)[0]
+        values /= scale[:, None]
+        left = self.form[:base, :base] - across.T @ values
+        ends = np.cumsum([len(place) for _, place in own])
+        by_name = {name: values[end - len(place) : end] for (name, place), end in zip(own, ends, strict=True)}
+        return Subset(names, left, by_name)
+
+    def estimate(self, found: Subset, delay: float) -> FloatArray:
+        """Return the estimate (size,) of a set with a delay, see :class:`~drive_id.core.full.solver.FullSolution`."""
+        base = voltage_columns(self.model)
+        right = np.zeros(len(self.form))
+        right[: len(base)] = delayed(delay)
+        for name, place in self._own(found.names):
+            right[place] = -found.value(name, delay)
+        summed = self.t @ (self.back @ right)
+        summed[self.columns(self.model)] -= right
+        return np.asarray(self.model.expansion @ summed)

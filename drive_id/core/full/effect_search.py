@@ -33,14 +33,13 @@ from drive_id.core.numerics.threads import in_threads
 from drive_id.types import FloatArray
 
 LEAST_BESIDE = 1e-3
-"""Share of the squared residuals that an unknown must explain beside the effect that it comes with."""
+"""Share of the squared residuals that an effect must save beside the one that it comes with."""
 _PRICE = 0.01
 """Share of the squared residuals that an effect must save: a systematic misfit lets others save some 0.3 %."""
 _LEAST_VOLTAGE = 1e-4
 """Rms that an effect must explain, relative to that of the integrated voltages: a third of a usual error of a flux."""
-_CONFIRMED, _CERTAIN = 0.01, 2.0
-"""Share of the squared error on data left out that each effect must save, and by how many standard errors over segments
-of time."""
+_CERTAIN = 2.0
+"""Standard errors, over segments of time, by which an effect must save as much on data left out."""
 _WIDE, _DEEP = 5, 6
 """Sets that are extended at a time, and most members of a set."""
 _LINEARIZATIONS, _CONFIRMATIONS = 4, 4
@@ -63,8 +62,8 @@ _LARGEST_LAG = 0.2
 _OF_LINK = ("link_ripple", "link_sag")
 _ALIKE = ({"current_latency", "angle_latency"},)
 """Effects of which the data hold one: if currents and angle are late by the same time, the voltages are early by it."""
-_ALIKE_AT_ONE_SPEED = ({"hysteresis", "iron_loss"}, {DELAY, "current_latency", "angle_latency", "current_rotation"})
-"""The same at one speed: they differ by a factor alone, or rotate the flux against the currents."""
+_ALIKE_AT_ONE_SPEED = ({DELAY, "current_latency", "angle_latency", "current_rotation"},)
+"""The same at one speed: all of them rotate the flux against the currents."""
 _TURNING = {DELAY, "current_latency", "angle_latency", "iron_loss", "hysteresis", "coercivity"}
 """All of them turn the flux against the currents: only the bends of the map tell them apart at one speed."""
 _BESIDE = {"current_rotation": "current_gains"}
@@ -112,7 +111,8 @@ class _Search:
         squares, terms = self.subset(names).squares(delay), 0
         if delay != self.usual:
             terms = 1 if (2 * delay).is_integer() else 2
-        return _Set(names, delay, squares, float(np.log(squares + self.least)) + _PRICE * (len(names) + terms))
+        price = _PRICE * terms + sum(_price(name) for name in names)
+        return _Set(names, delay, squares, float(np.log(squares + self.least)) + price)
 
     def best(self, names: frozenset[str]) -> _Set | None:
         """Return a set with the delay that suits it, if any is possible."""
@@ -358,7 +358,7 @@ def _unconfirmed(state: EffectSearch, search: _Search, chosen: _Set, plain: Mode
     gains = errors[:, 1:] - errors[:, :1]
     share = gains.sum(axis=0) / errors[:, 1:].sum(axis=0)
     certain = gains.mean(axis=0) / np.maximum(gains.std(axis=0) / np.sqrt(len(gains)), 1e-300)
-    weak = np.flatnonzero((share < _CONFIRMED) | (certain < _CERTAIN))
+    weak = np.flatnonzero((share < [_price(member) for member in members]) | (certain < _CERTAIN))
     return members[min(weak, key=lambda k: share[k])] if len(weak) else None
 
 
@@ -388,6 +388,11 @@ def held_out(
         return list(np.add.reduceat(np.square(left).sum(axis=1), edges, axis=0))
 
     return np.array([row for rows in in_threads(of_fold, range(FOLDS)) for row in rows])
+
+
+def _price(name: str) -> float:
+    """Return the share of squared residuals, or squared errors on data left out, that an effect must save."""
+    return LEAST_BESIDE if name in _BESIDE else _PRICE
 
 
 def turning(taken: Sequence[Taken]) -> set[str]:

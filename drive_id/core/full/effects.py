@@ -14,7 +14,8 @@ current_latency     tau, time constant of the currents' filter or their delay   
 angle_latency       tau                                                         [omega e^{j theta} (j f - f'(i) j i)]
 flux_lag            tau times the share of the flux that lags by a short tau    -[e^{j theta} f'(i) di/dt]
 flux_lag_...ms      share of the flux that lags by this time                    -[e^{j theta} (f(i) - f(i_lag))]
-copper_heating      rise of R over the recording                                int i_s h dt, h: heat int i^2 dt
+copper_heating      rise of R over the recording                                int i_s h dt, h: heat int i^2 dt, less
+                                                                                what is given off (``winding_heat.py``)
 magnet_heating      change over the recording of psi_d and of the current       h [e^{j theta}], h [e^{j theta} f'(i)]
                     that stands for the magnet
 copper_recordings   R of a recording minus that of the first                    int i_s
@@ -67,6 +68,7 @@ from drive_id.core.full.model import (
     FullModel,
     ModelSpec,
 )
+from drive_id.core.full.winding_heat import WindingHeat
 from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.types import TINY, FloatArray, Samples
@@ -110,6 +112,7 @@ class EffectColumns:
     link: float  # mean DC-link voltage, V; NaN where it is not known
     pole_pairs: int | None  # for the mechanical angle
     ripple: float = 0.0  # frequency of a ripple of the DC link, Hz; 0 without
+    winding: WindingHeat | None = None  # course of its temperature; None: it gives off no heat
 
     def __call__(self, windows: Windows) -> ComplexArray:
         """Return the columns (N, EFFECT_COLUMNS) of N windows."""
@@ -134,7 +137,7 @@ class EffectColumns:
             "current_latency": [between(windows.held - windows.speed * tilt)],  # with the ripple of a held voltage
             "angle_latency": [between(windows.speed * tilt)],
             "flux_lag": [-between(turn * through(windows.slope))],
-            "copper_heating": [windows.current * heat],
+            "copper_heating": [windows.current * (heat if self.winding is None else self.winding(windows))],
             "magnet_heating": [column * heat for column in of_magnet],
             "copper_recordings": [windows.current * own_windows for own_windows in own],
             "magnet_recordings": [column * own_windows for own_windows in own for column in of_magnet],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from drive_id.core.full.effects import EffectColumns
 from drive_id.core.full.link_ripple import ripple_frequency
 from drive_id.core.full.model import VOLTAGE, FullModel, ModelSpec
 from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver
+from drive_id.core.full.winding_heat import WindingHeat
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import SEARCHED, Windows
 from drive_id.types import TINY
@@ -101,13 +103,20 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
         if -change < _SETTLED or not (spec.effects or remains(solver)):
             break
         columns = replace(columns, estimate=found.solution.estimate)
-        if "link_ripple" in spec.effects:
-            beside = columns.estimate.copy()
-            beside[solver.model.effect("link_ripple")] = 0.0
-            columns = replace(
-                columns, ripple=ripple_frequency(solver.model, beside, extended.kept(), columns.ripple)[0]
-            )
+        columns = _attuned(columns, solver.model, spec, extended.kept())
     return found
+
+
+def _attuned(columns: EffectColumns, model: FullModel, spec: ModelSpec, kept: Sequence[Windows]) -> EffectColumns:
+    """Return the columns with the frequency of a ripple, or the time constant of heating, that explains most."""
+    if "link_ripple" in spec.effects:
+        beside = columns.estimate.copy()
+        beside[model.effect("link_ripple")] = 0.0
+        columns = replace(columns, ripple=ripple_frequency(model, beside, kept, columns.ripple)[0])
+    if "copper_heating" in spec.effects:
+        winding = columns.winding or WindingHeat.of(Windows.joined(list(kept)))
+        columns = replace(columns, winding=winding.fitted(model, columns.estimate, kept))
+    return columns
 
 
 def with_hidden_ripple(sums: WindowSums, state: EffectSearch, noise: CurrentNoise) -> EffectSearch:

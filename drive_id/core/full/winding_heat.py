@@ -1,0 +1,107 @@
+"""Course of the winding's temperature: the heat that the currents leave in it, less what it gives off.
+
+With the heat ``h = int i^2 dt``, the thermal time constant tau and the growth g of the resistance by the largest rise,
+the rise follows ``theta' = (1 + g theta / max theta) h' - theta / tau``: warm copper takes more heat.
+The constant is found from the data, as the frequency of a ripple is: that which explains most of what the fit leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core.full.model import RESISTANCE, FullModel
+from drive_id.core.full.windows import Windows
+from drive_id.types import FloatArray, IntArray
+
+_CONSTANTS = 60.0 * 0.6 ** np.arange(9)
+"""Thermal time constants tried, s, from slow windings to the bare wires of small ones; between them by a parabola."""
+_STEPS = 2000
+"""Of a course, over a recording: of 10 s, a trajectory's turn takes 20 and more of them."""
+_PASSES = 3
+"""In which the growth is taken relative to the largest rise with it: of 46 %, 0.3 % of the course are left."""
+_NODES = 4000
+"""Windows from which the heat over time is known, at most."""
+_CLEAR = 16.0
+"""Squared residuals, in those of one row, that a time constant must explain beyond heat that stays: four sigma."""
+
+
+@dataclass(frozen=True, eq=False)
+class WindingHeat:
+    """Rise of the winding's temperature within each recording, relative to the largest one."""
+
+    recording: IntArray  # (K,), time, s, and heat since the recording's start, A^2 s, of some windows
+    time: FloatArray
+    heat: FloatArray
+    constant: float = np.inf  # thermal time constant, s
+    growth: float = 0.0  # of R at the largest rise, relative
+
+    @classmethod
+    def of(cls, windows: Windows) -> WindingHeat:
+        """Return the heat over all windows, none of which is given off."""
+        some = windows.thinned(_NODES)
+        return cls(some.recording, some.time, some.heat)
+
+    def __call__(self, windows: Windows) -> FloatArray:
+        """Return the relative rise (N,) at the start of windows."""
+        courses, largest = {}, 1e-12
+        for number in np.unique(np.concatenate([self.recording, windows.recording])):
+            known, own = self.recording == number, windows.recording == number
+            time, first = np.unique(np.concatenate([self.time[known], windows.time[own]]), return_index=True)
+            heat = np.concatenate([self.heat[known], windows.heat[own]])[first]
+            steps = np.linspace(time[0], time[-1], _STEPS)
+            courses[number] = steps, np.interp(steps, time, heat)
+        until = {number: self.time[self.recording == number].max(initial=-np.inf) for number in courses}
+        for growth in (0.0, *_PASSES * (self.growth,)):
+            risen = {number: self._risen(*course, growth / largest) for number, course in courses.items()}
+            largest = max(float(rise[courses[k][0] <= until[k]].max(initial=1e-12)) for k, rise in risen.items())
+        out = np.zeros(len(windows))
+        for number, rise in risen.items():
+            own = windows.recording == number
+            out[own] = np.interp(windows.time[own], courses[number][0], rise)
+        return out / largest
+
+    def _risen(self, time: FloatArray, heat: FloatArray, growth: float) -> FloatArray:
+        """Return the rise (K,), A^2 s, at equal steps of time (K,), s, by heat (K,); ``growth`` per A^2 s."""
+        step = float(time[1] - time[0])
+        stays = float(np.exp(-step / self.constant))
+        share = self.constant / step * (1.0 - stays) if np.isfinite(self.constant) and step > 0 else 1.0
+        rise = float(heat[0])
+        course = [rise]
+        for more in np.diff(heat).tolist():
+            rise = rise * stays + more * share * (1.0 + growth * rise)
+            course.append(rise)
+        return np.array(course)
+
+    def fitted(self, model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> WindingHeat:
+        """Return the heat with the time constant that explains most of the residuals, infinite unless clearly.
+
+        Parameters
+        ----------
+        estimate : (size,) float
+            With heating.
+        """
+        windows, own, estimate = Windows.joined(list(kept)), model.effect("copper_heating"), estimate.copy()
+        growth = float(np.clip(estimate[own][0] / estimate[RESISTANCE], 0.0, 1.0))
+        estimate[own] = 0.0
+        left = model.residuals(windows, estimate).ravel()
+        current = np.sqrt(windows.weights) * windows.current
+        steady = np.stack([current.real, current.imag], axis=1).ravel()
+
+        def squares(constant: float) -> float:
+            warm = np.repeat(replace(self, constant=constant, growth=growth)(windows), 2) * steady
+            columns = np.stack([steady, warm], axis=1)
+            found = np.linalg.lstsq(columns.T @ columns, columns.T @ left)[0]
+            return float(np.sum((left - columns @ found) ** 2))
+
+        stays, tried = squares(np.inf), [squares(constant) for constant in _CONSTANTS]
+        best = int(np.clip(np.argmin(tried), 1, len(tried) - 2))
+        before, at, after = tried[best - 1 : best + 2]
+        bend = before + after - 2 * at
+        shift = float(np.clip(0.5 * (before - after) / bend, -1.0, 1.0)) if bend > 0 else 0.0
+        constant = float(_CONSTANTS[best] * (_CONSTANTS[1] / _CONSTANTS[0]) ** shift)
+        least = squares(constant)
+        clear = stays - least > _CLEAR * least / len(left)
+        return replace(self, constant=constant if clear else np.inf, growth=growth)

@@ -145,7 +145,13 @@ def _copper(found: _ReportedEffect) -> Iterator[Calibration]:
         change = x / reference
         told = {"change": change, "kelvin": change / COPPER}
         if found.name == "copper_heating":
-            yield found.entry("resistance_rise", x, dx, "ohm", **told)
+            winding = found.fit.selection.search.found.columns.winding
+            if winding is not None and np.isfinite(winding.constant):
+                yield found.entry(
+                    "resistance_rise", x, dx, "ohm", "resistance_rise.settling", constant=winding.constant, **told
+                )
+            else:
+                yield found.entry("resistance_rise", x, dx, "ohm", **told)
         elif found.fit.met(found.name, k):
             yield found.entry(f"resistance_change_{k + 2}", x, dx, "ohm", "resistance_change", recording=k + 2, **told)
 

@@ -18,7 +18,7 @@ from drive_id.core.full.model import EFFECTS, RESISTANCE
 from drive_id.core.full.solver import LEAST_TOLD
 from drive_id.core.full.standard_errors import sigma as fitted_sigma
 from drive_id.core.full.window_sums import MOST_KEPT
-from drive_id.core.full.windows import STRIDE
+from drive_id.core.full.windows import SEARCHED, STRIDE, Windows
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.messages import Message
 from drive_id.temperature import COPPER
@@ -27,6 +27,9 @@ from drive_id.types import FloatArray
 _NEGLIGIBLE = 5e-4
 """Rms of the residuals beyond noise, relative to the integrated voltages, below which there is no warning: it cost no
 random drive 0.1 % of the flux."""
+_MOVED, _OF_SIGMA = 1e-3, 0.7
+"""Share of the flux that residuals beyond noise must move, or of the standard error of R (which they are a part of: as
+large as all else), to be warned of."""
 _CONCENTRATED = 1.5
 """Residuals at small currents, relative to all, from which on they are told to lie there."""
 _SUSPICIOUS = 0.15
@@ -42,7 +45,7 @@ _MOST_NAMED = 2
 """Most explanations named: a longer list helps nobody."""
 
 
-def misfit_warning(fit: FullFit) -> Message | None:
+def misfit_found(fit: FullFit) -> Message | None:
     """Describe residuals above noise: size, region and likely cause; None if they are small."""
     misfit = fit.assessment.misfit
     beyond = fit.solution.residual_rms**2 * (1 - misfit.ratio**-2)
@@ -52,9 +55,25 @@ def misfit_warning(fit: FullFit) -> Message | None:
     values = {"ratio": misfit.ratio, "worst": misfit.worst, "i_d": d, "i_q": q}
     if fit.assessment.outlying > OUTLYING:
         return Message("misfit.time", time=fit.assessment.outlying_time, **values)
+    moved, moves = _moved(fit)
+    if not moves:
+        return Message("misfit.harmless", moved=moved, **values)
     if misfit.low > _CONCENTRATED * misfit.ratio:
         return Message("misfit.small_currents", low=misfit.low, **values)
     return _with_cause("misfit", fit, **values)
+
+
+def _moved(fit: FullFit) -> tuple[float, bool]:
+    """Return by how much residuals beyond noise move the flux, relative, and whether that or R matters."""
+    model, misfit = fit.model, fit.assessment.misfit
+    currents = Windows.joined(fit.selection.search.sums.kept()).thinned(SEARCHED).i_dq[:, 0]
+    rows = model.flux.rows(currents)
+    flux = rows.dot(fit.solution.estimate[model.map])
+    changes = [rows.dot(change) for change in misfit.changes[model.map].T]
+    squares = sum((np.square(change) for change in changes), misfit.missed_at(currents, model.i_max))
+    moved = float(np.sqrt(np.mean(squares, axis=0).max() / np.mean(np.square(flux).sum(axis=1))))
+    of_resistance = float(np.linalg.norm(misfit.changes[RESISTANCE]))
+    return moved, moved > _MOVED or of_resistance > _OF_SIGMA * fit.sigma(RESISTANCE)
 
 
 def unseen_warning(fit: FullFit) -> Message | None:

@@ -23,6 +23,8 @@ _LEAST_VOLTAGE = 5e-5
 OF_MISFIT = 0.5
 """Share of the squared residuals beyond noise that a variation of the DC link must explain: the misfit of a map recurs
 with the trajectory and the power, and a part of it looks like theirs."""
+_TRIED = 0.1
+"""The same of a ripple beside other effects, to be tried at all: they may stand for it."""
 _GROWN = 1.03
 """Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
 _SETTLING, _SETTLED = 5, 0.01
@@ -125,7 +127,7 @@ def with_hidden_ripple(sums: WindowSums, state: EffectSearch, noise: CurrentNois
     if np.isfinite(columns.link) or "link_ripple" in solution.spec.effects or not _misfits(model, solution, noise):
         return state
     ripple, share = ripple_frequency(model, solution.estimate, state.sums.kept())
-    explains = share > OF_MISFIT * beyond_noise(model, solution, noise)
+    explains = share > _TRIED * beyond_noise(model, solution, noise)
     return settled(sums, solution.spec, replace(columns, ripple=ripple)) if explains else state
 
 

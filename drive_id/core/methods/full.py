@@ -13,7 +13,7 @@ from drive_id.core.full.calibration import Calibration, rotated
 from drive_id.core.full.effect_report import (
     OUTLYING,
     effect_entries,
-    misfit_warning,
+    misfit_found,
     not_reciprocal_warning,
     unseen_warning,
 )
@@ -57,6 +57,7 @@ _LARGE_MISMATCH = 0.01  # of gains, for a warning
 _LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy="passive_maps", impossible=True)
 _FEW_COVERED = 0.5  # share of the disc with data below which more of it helps most
 _WHOLE_DISC = 0.02  # share of the disc without data up to which it is whole
+_HARMLESS = "misfit.harmless"
 _INNER = 0.9  # of its radius, where the disc has no hole if it is whole: at the rim, noise makes some
 
 
@@ -329,7 +330,8 @@ def _on_map(
     locked = _locked(evidence)
     if locked:
         yield Message("locked_rotor", angle=_position(fit.selection.search.sums.kept())[0])
-    yield from filter(None, (misfit_warning(fit), unseen_warning(fit)))
+    misfit = misfit_found(fit)
+    yield from (said for said in (misfit, unseen_warning(fit)) if said is not None and said.code != _HARMLESS)
     share = SHORT_ANGLE / WINDOW_ANGLE if fit.crossings > 1 else 1.0
     # Windows that end sooner do so because the current changes fast, which tells flux and voltage errors apart, too.
     turn, duration = fit.assessment.turn, fit.assessment.duration
@@ -373,6 +375,9 @@ def _statements(
     yield Message(f"separation{by}", share=relative)
     yield Message("linear_drop")
     yield Message("common_gain")
+    misfit = misfit_found(fit)
+    if misfit is not None and misfit.code == _HARMLESS:
+        yield misfit
     if fit.spec.lag:
         yield Message("compensation_lags")
     if fit.crossings > 1:

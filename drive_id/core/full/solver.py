@@ -10,7 +10,7 @@ integrals of the current and of the inverter's shapes also attenuates R and the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -32,7 +32,7 @@ from drive_id.core.full.reduced import Reduced, best_delay, voltage_columns
 from drive_id.core.full.window_sums import WindowSums, with_products
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import jacobian
-from drive_id.core.numerics.normal_equations import congruent, factorize, inverse_of, nested, penalized, times, unpacked
+from drive_id.core.numerics.normal_equations import congruent, factorize, inverse_of, penalized, times, unpacked
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import TINY, BoolArray, FloatArray, IntArray
 
@@ -204,58 +204,21 @@ class Solver:
         The penalty acts on the map alone: all else is eliminated once per fold, ``S = A_mm - A_mn A_nn^-1 A_nm``, and
         ``S + lambda P`` is solved for each penalty lambda.
         """
-        known, moment = self._normal(spec), self._moment(spec)
+        known, voltage = self._normal(spec), self._voltage(spec)
+        moment = known.t.T @ times(self.total, voltage)
         tried = [known.penalty(penalty) for penalty in penalties or (spec.penalty,)]
         in_map = np.asarray(abs(known.t[self.model.summed.map]).sum(axis=0)).ravel() > 0
-
-        def solutions(rest: FloatArray, own: FloatArray) -> list[FloatArray]:
-            if len(tried) > 1:
-                return penalized(rest, moment - own, tried, in_map)
-            return [nested(rest, moment - own, tried[0], (len(moment),))[0]]
-
-        return self._errors(spec, known.t, known.normal, solutions, folds)
-
-    def left_out_with_and_without(self, spec: ModelSpec, effect: str) -> FloatArray:
-        """Return the errors (F, 2) of :meth:`left_out` without one of the effects, and with it.
-
-        One factorization serves both if the unknowns of the effect are the last ones.
-        """
-        known, moment, columns = self._normal(spec), self._moment(spec), self.model.effect(effect)
-        own = np.asarray(abs(known.t[columns]).sum(axis=0)).ravel() > 0
-        order = np.concatenate([np.flatnonzero(~own), np.flatnonzero(own)])
-        normal, penalty = (known.normal.take(order, axis=0).take(order, axis=1), known.penalty(spec.penalty))
-        penalty, counts = sparse.csr_array(penalty[order][:, order]), (int(np.sum(~own)), len(own))
-
-        def solutions(rest: FloatArray, of_fold: FloatArray) -> list[FloatArray]:
-            return nested(rest, moment[order] - of_fold, penalty, counts)
-
-        return self._errors(spec, sparse.csr_array(known.t[:, order]), normal, solutions)
-
-    def _moment(self, spec: ModelSpec) -> FloatArray:
-        return np.asarray(self._normal(spec).t.T @ times(self.total, self._voltage(spec)))
-
-    def _errors(
-        self,
-        spec: ModelSpec,
-        t: sparse.csr_array,
-        normal: FloatArray,
-        solutions: Callable[[FloatArray, FloatArray], list[FloatArray]],
-        folds: Sequence[int] | IntArray | None = None,
-    ) -> FloatArray:
-        """Return the errors (F, S) of folds left out by the solutions of the rest, of its matrix and the fold's moment.
-
-        ``normal`` is T'Z'ZT of all folds.
-        """
-        voltage = self._voltage(spec)
 
         def errors(number: int) -> list[float]:
             effects = None if self._effects is None else self._effects[number]
             fold = with_products(unpacked(self._folds[number], len(voltage)), effects, self.model)
-            own, product = congruent(t, fold), times(fold, voltage)
+            own, product = congruent(known.t, fold), times(fold, voltage)
             del fold
-            moment, square = t.T @ product, voltage @ product
-            estimates = solutions(normal - own, moment)
-            return [max(x @ (own @ x - 2 * moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates]
+            own_moment, square = known.t.T @ product, voltage @ product
+            estimates = penalized(known.normal - own, moment - own_moment, tried, in_map)
+            return [
+                max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
+            ]
 
         return np.array(in_threads(errors, range(len(self._folds)) if folds is None else [int(k) for k in folds]))
 
@@ -394,12 +357,6 @@ def predictable(errors: FloatArray) -> BoolArray:
     The errors in a region that only one fold visits, such as the ramp from zero to the trajectory, would dominate.
     """
     return np.asarray(errors <= _UNPREDICTABLE * np.median(errors))
-
-
-def better_on_most_folds(errors: FloatArray, other: FloatArray) -> bool:
-    """Tell whether other errors (F,) are smaller on all predictable folds but one, which may hold a disturbance."""
-    folds = predictable(errors)
-    return bool(np.sum((other < errors)[folds]) >= folds.sum() - 1)
 
 
 @dataclass(frozen=True, eq=False)

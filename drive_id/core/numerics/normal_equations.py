@@ -118,18 +118,6 @@ def penalized(
     return estimates
 
 
-def nested(
-    normal: FloatArray, moment: FloatArray, penalty: sparse.csr_array, counts: Sequence[int]
-) -> list[FloatArray]:
-    """Solve ``(normal + penalty) x = moment`` for the first so many unknowns (M,), the others being 0: one factor."""
-    factor, scale = factorize(normal, penalty)
-    known, out = linalg.solve_triangular(factor, moment / scale, lower=True, check_finite=False), []
-    for count in counts:
-        half = np.where(np.arange(len(known)) < count, known, 0.0)
-        out.append(linalg.solve_triangular(factor, half, lower=True, trans="T", check_finite=False) / scale)
-    return out
-
-
 def increased(matrix: FloatArray, by: sparse.csr_array) -> FloatArray:
     """Add a sparse matrix to a dense one, in place."""
     entries = by.tocoo()

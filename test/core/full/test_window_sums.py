@@ -184,12 +184,6 @@ def test_effects_beside_the_folds_are_as_good_as_within(model, samples):
     one, other = (solver.solve(spec) for solver in (Solver.over(extended), within))
     np.testing.assert_allclose(one.estimate, other.estimate, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(sums.folds[:, :, model.effects], 0.0)
-    both = within.left_out_with_and_without(spec, "iron_loss")
-    expected = [
-        within.left_out(dataclasses.replace(spec, effects=effects), (spec.penalty,) * 2)[:, 0]
-        for effects in ((), spec.effects)
-    ]
-    np.testing.assert_allclose(both.T, expected, rtol=1e-6)
     saved = within.savings(other, {name: model.effect(name) for name in ("hysteresis", "voltage_gains")})
     for name, (share, values) in saved.items():
         alone, alone_values = within.saving(other, model.effect(name))

@@ -33,15 +33,16 @@ def ripple_columns(windows: Windows) -> Callable[[float], ComplexArray]:
 
     The voltage in the rotor frame is taken as constant over a window, so that its integral is known.
     """
-    u_dq = np.mean(windows.held * np.exp(-1j * windows.angle), axis=1) * np.exp(1j * windows.angle[:, 0])
-    speed = windows.speed.mean(axis=1)
+    speed, duration = windows.speed.mean(axis=1), windows.duration
+    u_dq = np.mean(windows.held * np.exp(-1j * windows.angle), axis=1)
+    middle = u_dq * np.exp(1j * (windows.angle[:, 0] + 0.5 * speed * duration)) * duration
+    at = windows.time + 0.5 * duration
 
     def columns(frequency: float) -> ComplexArray:
-        sides = []
-        for turns in (2 * np.pi * frequency, -2 * np.pi * frequency):
-            angle = (speed + turns) * windows.duration
-            mean = np.exp(0.5j * angle) * np.sinc(angle / (2 * np.pi))
-            sides.append(u_dq * np.exp(1j * turns * windows.time) * windows.duration * mean)
+        turns = 2 * np.pi * frequency
+        turned = np.exp(1j * turns * at)
+        ahead, behind = (np.sinc((speed + sign * turns) * duration / (2 * np.pi)) for sign in (1, -1))
+        sides = middle * turned * ahead, middle * turned.conj() * behind
         return np.stack([-0.5 * (sides[0] + sides[1]), 0.5j * (sides[0] - sides[1])], axis=1)
 
     return columns

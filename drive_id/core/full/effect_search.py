@@ -80,10 +80,7 @@ class _Set:
     delay: float  # samples
     squares: float  # that are left, (Vs)^2
     score: float  # to be minimized
-
-    @property
-    def members(self) -> frozenset[str]:
-        return self.names | {DELAY} if self.delay else self.names
+    members: frozenset[str]  # the names, and that of the delay, if it is not the usual one
 
 
 @dataclass
@@ -111,8 +108,8 @@ class _Search:
         squares, terms = self.subset(names).squares(delay), 0
         if delay != self.usual:
             terms = 1 if (2 * delay).is_integer() else 2
-        price = _PRICE * terms + sum(_price(name) for name in names)
-        return _Set(names, delay, squares, float(np.log(squares + self.least)) + price)
+        score = float(np.log(squares + self.least)) + _PRICE * terms + sum(_price(name) for name in names)
+        return _Set(names, delay, squares, score, names | {DELAY} if terms else names)
 
     def best(self, names: frozenset[str]) -> _Set | None:
         """Return a set with the delay that suits it, if any is possible."""
@@ -243,14 +240,14 @@ def search_effects(
     rules = _Rules(
         sums, plain, noise, tuple(allowed), turn, not several_speeds(noise.windows.speed.mean(axis=1)), least
     )
-    state, chosen, search = _about_its_best(first, rules)
+    state, chosen, search = _about_its_best(first, first, rules)
     for _ in range(_CONFIRMATIONS):
         state, chosen = _among_rivals(sums, state, search, chosen, plain)
         weak = _unconfirmed(state, search, chosen, plain)
         if weak is None:
             break
         rules = rules.without(weak)
-        state, chosen, search = _about_its_best(first if len(chosen.members) == 1 else state, rules)
+        state, chosen, search = _about_its_best(state, first, rules)
     delay = state.found.delay
     if chosen.delay != plain.delay:
         delay = Delay(chosen.delay, delay.sigma)
@@ -261,9 +258,9 @@ def search_effects(
     return replace(state, sums=extended, found=replace(state.found, taken=taken, delay=delay))
 
 
-def _about_its_best(state: EffectSearch, rules: _Rules) -> tuple[EffectSearch, _Set, _Search]:
-    """Linearize about the best set, and search again, until it stays."""
-    first, plain, chosen = state, rules.plain, _Set(frozenset(), rules.plain.delay, np.inf, np.inf)
+def _about_its_best(state: EffectSearch, first: EffectSearch, rules: _Rules) -> tuple[EffectSearch, _Set, _Search]:
+    """Linearize about the best set, and search again, until it stays; ``first`` is the fit without effects."""
+    plain, chosen = rules.plain, _Set(frozenset(), rules.plain.delay, np.inf, np.inf, frozenset())
     for _ in range(_LINEARIZATIONS):
         search = rules.search_about(state)
         best = search.run()
@@ -286,6 +283,8 @@ def _about_its_best(state: EffectSearch, rules: _Rules) -> tuple[EffectSearch, _
         state = settled(rules.sums, _variant(plain, best), about)
         state = with_hidden_ripple(rules.sums, state, rules.noise)
         state = replace(state, found=replace(state.found, delay=delay))
+    if not chosen.members:
+        state = first
     return state, chosen, search
 
 

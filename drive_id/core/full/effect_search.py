@@ -299,14 +299,14 @@ def _solved(solver: Solver, plain: ModelSpec, found: _Set) -> FullSolution:
 def _taken(search: _Search, chosen: _Set, significant: Callable[[float], bool]) -> Iterator[Taken]:
     """Yield the members of a set, that which saves most first, with those that would explain nearly as much.
 
-    A delay is one of these if it is significant.
+    A delay is one of these if it is significant. What comes beside another effect has none: that one tells it.
     """
     saved = {member: search.without(chosen, member).squares - chosen.squares for member in chosen.members}
     for member in sorted(saved, key=lambda name: -saved[name]):
         rivals = {
             name
             for name, other, share in search.exchanged(chosen, member)
-            if share > 1 - _CLOSE and (name != DELAY or significant(other.delay))
+            if share > 1 - _CLOSE and member not in _BESIDE and (name != DELAY or significant(other.delay))
         }
         yield Taken(member, tuple(sorted(rivals)))
 

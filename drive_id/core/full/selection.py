@@ -340,6 +340,11 @@ def _with_free_maps(
     if freed.windows != sums.windows:
         error = solver.left_out(spec)[:, 0]
     advantage = _advantage(solver, free, error)
+    if free.effects:  # which may only have stood for what reciprocal maps cannot follow
+        without = replace(free, effects=())
+        alone = _advantage(solver, without, error)
+        if not np.isnan(alone) and not alone < advantage - _CLEAR_GAIN * (1 - alone):
+            free, advantage = without, alone
     if np.isnan(advantage):
         return Selection(search.solution, search)
     orders = _first_spec(search.sums, settings, turn).orders
@@ -347,9 +352,10 @@ def _with_free_maps(
     if search.sums.effects is None:
         freed = freed.with_effects(search.found.columns)
     search = replace(search, sums=freed, solver=Solver.over(freed))
-    everything = search.solver.solve(replace(free, orders=orders))
+    everything = search.solver.solve(replace(free, orders=orders, crossing=False))
+    everything = _with_early_steps(search.solver, everything)  # a misfit of the maps hides them
     significant = _significant_orders(freed.model, everything, noise.windows.i_dq[:, 0])
-    spec = search.solver.best_penalty(replace(free, orders=significant))[0]
+    spec = search.solver.best_penalty(replace(everything.spec, orders=significant))[0]
     return Selection(search.solver.solve(spec), search, advantage)
 
 

@@ -48,9 +48,8 @@ def test_a_part_of_the_population(population, number):
 
 
 @pytest.mark.accuracy
-@pytest.mark.parametrize("number", [0, 2])
-def test_a_part_of_the_population_on_free_shafts(population, number):
-    one = replace(population.drive(SEED, number), seconds=8.0)
+def test_a_drive_of_the_population_on_a_free_shaft(population):
+    one = replace(population.drive(SEED, 2), seconds=8.0)
     one = population.on_free_shaft(one)
     fit = population.fitted(one, population.recordings(one), "full")
     assert max(fit["psi_d"], fit["psi_q"]) < 0.15

@@ -116,9 +116,7 @@ def test_free_maps_win_where_the_machine_is_not_reciprocal():
     found, free = errors(simulation)
     assert sum("not reciprocal" in warning for warning in found.report.warnings) == 1
     assert not calibration(found, "voltage_delay").applied
-    assert free.max() < 0.15
-    _, forced = errors(simulation, replace(FULL, maps="reciprocal"))
-    assert np.all(1.8 * free < forced)
+    assert free.max() < 0.15  # forced to be reciprocal, maps miss it by more: test_full_fit.py
 
 
 def test_an_asymmetric_machine_refuses_the_calibration_of_the_angle():
@@ -135,7 +133,6 @@ def test_an_asymmetric_machine_refuses_the_calibration_of_the_angle():
     ("machine", "changes", "trajectory"),
     [
         pytest.param(linear_machine(), {}, None, id="a linear machine without harmonics"),
-        pytest.param(IPM, {"sample_period": 2e-4}, None, id="5 kHz"),
         pytest.param(IPM, {"sample_period": 1e-3}, None, id="1 kHz"),
         pytest.param(IPM, {}, Lissajous(frequency_d=2.0, frequency_q=1.0), id="a figure that covers 8 % of the disc"),
         pytest.param(IPM, {}, Lissajous(frequency_d=100 / 3, frequency_q=25 / 3), id="a figure in step with the rotor"),
@@ -173,7 +170,7 @@ def along_a_ring(machine, settings, seconds, turns=1.1, share=1.0, against=0.0):
     return simulate(machine, settings, np.stack([ring.real, ring.imag], axis=-1))
 
 
-@pytest.mark.parametrize("machine", ["ipm", "spm", "pmsyrm"])
+@pytest.mark.parametrize("machine", ["spm", "pmsyrm"])
 def test_the_way_from_rest_to_a_ring_does_not_decide_what_the_ring_is_fitted_with(machine):
     simulation = along_a_ring(machine_map(machine), NOISY, 10.0)
     _, joint_errors = errors(simulation, JOINT)

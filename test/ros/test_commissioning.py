@@ -46,7 +46,7 @@ def test_a_new_drive_is_characterized_by_one_command(ros):
     output = ros.folder / "out"
     make = ["make", "-o", "setup", f"BIN={Path(sys.executable).parent}", "demo", f"OUT={output}"]
     done = subprocess.run(
-        [*make, "ARGS=--free-shaft --seconds 6.0"],
+        [*make, "ARGS=--free-shaft --seconds 4.0"],
         cwd=ROOT, env=ros.environment, capture_output=True, text=True, timeout=4 * DEADLINE, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr

@@ -71,6 +71,8 @@ def test_one_drive_of_each_family(name):
     assert found.resistance == pytest.approx(truth.resistance, rel=0.02)
     assert [harmonic.order for harmonic in found.harmonics] == [6, 12]
     assert found.report.warnings == ()
+    judged = {"voltage_delay", "resolver_offset", "current_offset_alpha", "current_gain_mismatch_alpha"}
+    assert judged <= {entry.name for entry in found.calibrations}
 
 
 def test_with_harmonics_and_an_inverter_full_is_twenty_times_better_than_joint():

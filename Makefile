@@ -14,6 +14,9 @@ BIN := $(CURDIR)/$(VENV)/bin
 # Workers among which the tests are divided: one for each core, and one while others wait for nodes.
 JOBS ?= $(shell echo $$(($$(nproc) + 1)))
 
+# Folder for the results of the demonstration.
+OUT := out/demo
+
 # Runs a command inside the environment. Nodes talk to each other on this machine and to nobody else: not to another
 # run (hence a domain of its own) and not to a robot in the same network.
 RUN := env PATH="$(BIN):$$PATH" ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(shell echo $$(($$$$ % 101 + 1)))
@@ -51,7 +54,7 @@ setup: ## make or update the environment (.venv, or .venv-DISTRO): ROS 2, depend
 	@$(PYTHON) tools/setup_environment.py --venv $(VENV) --distro $(DISTRO)
 
 demo: setup ## simulate a drive, identify it, and leave the results in out/demo: make demo ARGS=--free-shaft
-	@$(RUN) bash examples/demo.sh out/demo $(ARGS)
+	@$(RUN) bash examples/demo.sh $(OUT) $(ARGS)
 
 check: setup ## before each commit: lint, and the tests that need no fit, node, process or browser
 	@$(MAKE) --no-print-directory --output-sync=target -j2 lint quick
@@ -80,7 +83,7 @@ safety: setup ## measure reaction times to trouble, ten times each: make safety 
 fuzz: setup ## try damaged and hostile inputs for a minute: make fuzz ARGS="--seconds 300", ARGS=--bombs
 	@$(RUN) python benchmarks/fuzz.py $(ARGS)
 
-endure: setup ## try power cuts, a long stream, many requests and kills: make endure ARGS="--only kills --rounds 30"
+endure: setup ## try a long stream, many requests and kills: make endure ARGS="--only kills --rounds 30"
 	@$(RUN) python benchmarks/endurance.py $(ARGS)
 
 lint: setup ## check style and types, also of the pages' Python

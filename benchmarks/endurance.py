@@ -1,16 +1,14 @@
-"""Endurance: power cuts, hours of streaming, many requests, killed nodes. Prints the tables of docs/reliability.md.
+"""Endurance: hours of streaming, many requests, killed nodes. Prints the tables of docs/reliability.md.
 
     python benchmarks/endurance.py                               everything, in a few minutes
-    python benchmarks/endurance.py --only crash --states 120     disk states per kind of recording
     python benchmarks/endurance.py --only soak --hours 8 --minutes 15
     python benchmarks/endurance.py --only live --minutes 62
     python benchmarks/endurance.py --only requests --requests 1000
     python benchmarks/endurance.py --only kills --rounds 30
     python benchmarks/endurance.py --only interrupts --rounds 300     of fits with several workers
 
-The seed determines states, requests, kills and interrupts; the timing of threads and processes differs from run to
-run. The exit code is 1 if there is a finding. Modules: power_cuts, soak, live_watch, node_requests, node_kills,
-interrupts.
+The seed determines requests, kills and interrupts; the timing of threads and processes differs from run to run. The
+exit code is 1 if there is a finding. Modules: soak, live_watch, node_requests, node_kills, interrupts.
 """
 
 from __future__ import annotations
@@ -25,19 +23,7 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: before numpy is loaded
 
-import power_cuts
 from reporting import machine
-
-
-def crash(options: argparse.Namespace, folder: Path) -> Iterator[str]:
-    """Test recordings after power cuts; yield findings."""
-    _row("recording", "states", *power_cuts.OUTCOMES, f"longest loss (flush period {power_cuts.FLUSH:g} s)", head=True)
-    names = [name for name in power_cuts.RECORDINGS if options.recordings in name]
-    for name in names:
-        tally = power_cuts.states(name, options.states, options.seed, folder / f"crash_{names.index(name)}")
-        counts = [str(tally.outcomes[outcome]) for outcome in power_cuts.OUTCOMES]
-        _row(name, str(tally.states), *counts, f"{tally.longest:.2f} s" if tally.longest else "")
-        yield from tally.findings
 
 
 def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
@@ -120,7 +106,6 @@ def interrupts(options: argparse.Namespace, folder: Path) -> Iterator[str]:
 
 
 PARTS: dict[str, Callable[[argparse.Namespace, Path], Iterator[str]]] = {
-    "crash": crash,
     "soak": soak,
     "live": live,
     "requests": requests,
@@ -140,10 +125,6 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default=",".join(PARTS), help=f"parts, separated by commas: {','.join(PARTS)}")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--states", type=int, default=10, help="disk states per kind of recording")
-    parser.add_argument(
-        "--recordings", default="", metavar="WORD", help="only kinds of recording whose name contains this"
-    )
     parser.add_argument("--hours", type=float, default=0.1, help="length of the stream, at 10 kHz on four topics")
     parser.add_argument("--minutes", type=float, default=1.0, help="time in which it is published; duration of live")
     parser.add_argument(

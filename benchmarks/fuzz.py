@@ -335,13 +335,15 @@ def main() -> None:
     parser.add_argument("--findings", type=Path, default=Path("fuzz_findings.json"))
     parser.add_argument("--keep", type=Path, help="leave the corpus in this folder, and take it from there")
     options = parser.parse_args()
+    kinds = options.kinds.split(",") if options.kinds else list(KINDS)
+    if unknown := [kind for kind in kinds if kind not in KINDS]:
+        parser.error(f"{', '.join(unknown)}: the kinds are {', '.join(KINDS)}")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     with tempfile.TemporaryDirectory(prefix="drive_id-fuzz-") as temporary:
         corpus = (options.keep or Path(temporary) / "corpus").absolute()
         if not (corpus / "machine.npz").exists():
             corpus.mkdir(parents=True)
             make_corpus(corpus)
-        kinds = options.kinds.split(",") if options.kinds else list(KINDS)
         if set(kinds) & set(LOG_KINDS | LIMIT_KINDS) and not (corpus / "slow.csv").exists():
             make_logs(corpus, drive_id.simulate("ipm", SECONDS, seed=7, noise=1e-3, trajectory=TRAJECTORY))
         findings: list[Finding] = []
@@ -355,6 +357,8 @@ def main() -> None:
     if findings:
         options.findings.write_text(json.dumps([asdict(finding) for finding in findings], indent=1))
         raise SystemExit(1)
+    if not tried:
+        raise SystemExit("Nothing was tried: give it more --seconds.")
 
 
 def _attempts(corpus: Path, kinds: list[str], options: argparse.Namespace) -> Iterator[tuple[str, Finding | None]]:

@@ -14,13 +14,16 @@ from drive_id_msgs.action import Identify as IdentifyAction
 from drive_id_msgs.msg import PhaseCurrents, PhaseVoltages, Resolver
 from drive_id_msgs.srv import Identify
 from node_processes import Graph, NodeProcess, slope
-from power_cuts import simulated
 from rclpy.action import ActionClient
+from recordings import experiment
 
+from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.writer import write_recording
 from drive_id.nodes.support.qos import STREAM
 
+TRAJECTORY = Lissajous(frequency_d=7.3, frequency_q=2.3)
+"""A short recording covers it."""
 TOPICS = {"/phase_currents": PhaseCurrents, "/phase_voltages": PhaseVoltages, "/resolver": Resolver}
 SECONDS, LONGER = 2.0, 5.0
 """Lengths of the recordings, s; the longer one for method full."""
@@ -94,7 +97,7 @@ def many_requests(count: int, seed: int, folder: Path) -> Answers:
 
 def _make_inputs(data: Path) -> None:
     for name, seconds in (("good", SECONDS), ("longer", LONGER)):
-        write_recording(data / name, simulated(seconds))
+        write_recording(data / name, experiment(seconds, trajectory=TRAJECTORY))
     file = next((data / "good").glob("*.mcap")).read_bytes()
     (data / "damaged.mcap").write_bytes(file[:20_000] + bytes(3000) + file[23_000:])
     (data / "text.txt").write_text("This is not a bag.\n", encoding="utf-8")

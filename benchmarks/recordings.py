@@ -9,6 +9,7 @@ from pathlib import Path
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
+from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter, whole_or_nothing
 from drive_id.files.write.writer import write_recording
@@ -25,10 +26,10 @@ _STAMP_AT, _COUNT_AT = 4, 28  # in the CDR of a message whose frame is "drive"
 
 
 @cache
-def experiment(seconds: float, rate: float = RATE) -> Samples:
-    """Simulate the ipm drive on the paper's trajectory, 300 A, 500 rpm, 0.1 % noise, dead time."""
+def experiment(seconds: float, rate: float = RATE, trajectory: Lissajous | None = None) -> Samples:
+    """Simulate the ipm drive, by default on the paper's trajectory, 300 A, 500 rpm, 0.1 % noise, dead time."""
     settings = SimulationSettings(inverter="dead_time", current_noise=1e-3, sample_period=1.0 / rate)
-    return run_experiment(machine_map("ipm"), settings, seconds=seconds).samples
+    return run_experiment(machine_map("ipm"), settings, trajectory, seconds).samples
 
 
 def recording(folder: Path, seconds: float) -> Path:

@@ -24,14 +24,15 @@ from reporting import Section, machine, show, write
 from rich.console import Console
 
 PAGE = Path(__file__).parent.parent / "docs" / "performance.md"
-LENGTHS = [10.0, 60.0, 600.0]
+LENGTHS, QUICK = [10.0, 60.0, 600.0], [1.0, 2.0]
+"""Of the recordings whose growth of time and memory is measured, s; the second one is the baseline."""
 HOUR = 3600.0
 
 
 def parts(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], Section]]:
     """Return what can be measured, by name."""
     repeats = 1 if options.quick else options.repeats
-    lengths = (LENGTHS[:2] if options.quick else LENGTHS) + ([HOUR] if options.hour else [])
+    lengths = (QUICK if options.quick else LENGTHS) + ([options.hour] if options.hour else [])
     return {
         "process": lambda: processes.against_plain(folder, repeats),
         "cold": lambda: processes.cold(folder, repeats),
@@ -58,7 +59,10 @@ def main() -> None:
     parser.add_argument(
         "--only", default="", help="names of parts, with commas: process,cold,growth,fit,start,live,nodes,safety,fleet"
     )
-    parser.add_argument("--hour", action="store_true", help="also fit an hour at 10 kHz (1.2 GB of disk, minutes)")
+    parser.add_argument(
+        "--hour", nargs="?", type=float, const=HOUR, metavar="SECONDS",
+        help="also fit an hour at 10 kHz (1.2 GB of disk, minutes), or so many seconds",
+    )  # fmt: skip
     parser.add_argument("--quick", action="store_true", help="one run of each, short recordings: to see that all works")
     parser.add_argument("--repeats", type=int, default=3, help="runs of which the best counts")
     parser.add_argument("--bags", type=Path, help="keep the recordings in this folder, and take those that are there")

@@ -1,10 +1,18 @@
 #!/usr/bin/env bash
 # The whole suite, live: a simulated bench, the trajectory publisher, the recorder and the identification node as separate
 # processes, driven through their services by "characterize". Everything is left in out/demo. With --free-shaft, there is no
-# load machine: a first start finds the angle, then the drive swings its own shaft.
+# load machine: a first start finds the angle, then the drive swings its own shaft. --seconds 5.0 makes it short.
 set -euom pipefail # m: processes in groups of their own, so that Ctrl-C reaches this script, which ends them in order
 output=$(realpath -m "${1:-out/demo}")
-free_shaft=${2:-}
+free_shaft='' seconds=10.0
+while [ $# -gt 1 ]; do
+    shift
+    case $1 in
+    --free-shaft) free_shaft=$1 ;;
+    --seconds) seconds=${2:?"--seconds needs a number, as in 5.0: the length of the experiment"} && shift ;;
+    *) echo "demo: there is no option $1: --free-shaft, or --seconds with the length of the experiment." >&2 && exit 2 ;;
+    esac
+done
 export PYTHONUNBUFFERED=1 ROS_LOG_DIR="$output/log/ros"
 
 rm -rf "$output"
@@ -38,7 +46,7 @@ client=
 trap end EXIT
 trap 'exit 130' INT TERM
 
-patient=(lead_time:=3.0 watch_timeout:=10.0 clock_offset:=2.0) # for busy computers; keep the defaults on a bench
+patient=(lead_time:=1.5 watch_timeout:=30.0 clock_offset:=30.0) # for busy computers; keep the defaults on a bench
 if [ "$free_shaft" = --free-shaft ]; then
     echo "A simulated drive without load machine is identified: a first start finds the angle of its rotor, 2 rad off, then it"
     echo "swings its own shaft up to 1340 rpm. This takes about two minutes. Logs: $output/log."
@@ -46,7 +54,7 @@ if [ "$free_shaft" = --free-shaft ]; then
         "truth_file:='$output/truth.npz'"
     start recorder "data_directory:='$output'"
     start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=20.0 pole_pairs:=3 picture:=true
-    start trajectory_publisher i_max:=20.0 shaft_speed_max:=420.0 duration:=10.0 "${patient[@]}"
+    start trajectory_publisher i_max:=20.0 shaft_speed_max:=420.0 "duration:=$seconds" "${patient[@]}"
     options=(--first-start --free-shaft --drive bench_simulator)
     result=recording
 else
@@ -55,7 +63,7 @@ else
     start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
     start recorder "data_directory:='$output'"
     start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 pole_pairs:=4 picture:=true
-    start trajectory_publisher i_max:=300.0 duration:=10.0 "${patient[@]}"
+    start trajectory_publisher i_max:=300.0 "duration:=$seconds" "${patient[@]}"
     options=(--compare)
     result=recording_full
 fi

@@ -41,6 +41,9 @@ LAST = (
 )
 """Long tests without a common fixture: each one runs on whichever worker is free."""
 
+APART = ("test/test_page_commands.py",)
+"""Files whose test functions share no fixture and are long: each function runs on whichever worker is free."""
+
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell; tests interrupt processes
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -79,6 +82,8 @@ def pytest_xdist_make_scheduler(config, log):
             super().schedule()
 
         def _split_scope(self, nodeid):
+            if nodeid.startswith(APART):
+                return nodeid.partition("[")[0]
             return nodeid if nodeid.startswith(LAST) else group_of(nodeid) or nodeid.partition("::")[0]
 
     config.option.loadscopereorder = False  # as sorted below, where a worker starts

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import random
-import subprocess
 import sys
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +10,7 @@ import pytest
 from recorder_blocks import TOPICS, feed
 from ros_bench import require_ros
 
-from drive_id.errors import DriveIdError
 from drive_id.files.messages.block_codec import encode_block
-from drive_id.files.storage.bag import open_bag
-from drive_id.files.write.recover import recover_bag
 from drive_id.live.recording.recording_session import RecordingSession
 from drive_id.live.recording.recording_settings import RecordingSettings
 
@@ -29,17 +23,6 @@ if sys.platform != "linux":
 @pytest.fixture(autouse=True)
 def _benchmarks(monkeypatch):
     monkeypatch.syspath_prepend(str(BENCHMARKS))
-
-
-@pytest.mark.process
-def test_the_command():
-    ran = subprocess.run(
-        [sys.executable, BENCHMARKS / "endurance.py", "--only", "crash", "--states", "2", "--recordings", "convert"],
-        capture_output=True, text=True, timeout=600, check=False,
-    )  # fmt: skip
-    assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert "| simulate, convert | 2 | 0 | 0 | 0 | 0 | 0 | 0 |" in ran.stdout
-    assert ran.stdout.endswith("\n0 findings\n")
 
 
 @pytest.mark.process
@@ -66,70 +49,6 @@ def test_a_hang_and_what_is_left_are_found(monkeypatch, tmp_path):
     assert [text.partition(": ")[2].split(":")[0] for text in found] == [
         "it hangs", "exit code -9", "exit code 0", "processes are left",
     ]  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def written(tmp_path_factory):
-    """A log of an imaginary recorder that syncs nothing but its file, and the messages."""
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        import forgetful_disk
-        import power_cuts
-    finally:
-        sys.path.remove(str(BENCHMARKS))
-    root = tmp_path_factory.mktemp("written")
-    samples = power_cuts.simulated(0.3)
-    with forgetful_disk.logged(root) as log:
-        recorded = power_cuts.whole(log, samples)
-    log.operations = [
-        each for each in log.operations if not (isinstance(each, forgetful_disk.Sync) and _is_folder(log, each.node))
-    ]
-    log.times = log.times[: len(log.operations)]
-    recorded.complete = len(log.operations)
-    return power_cuts, recorded, samples
-
-
-def _is_folder(log, node):
-    return node in log._names
-
-
-@pytest.fixture
-def judged(written, tmp_path, monkeypatch):
-    """Try one state in this process, without the command line."""
-    power_cuts, recorded, samples = written
-
-    def run(arguments, folder):
-        command, bag = arguments[0], Path(arguments[1])
-        try:
-            with open_bag(bag):
-                pass
-            if command == "recover":
-                recover_bag(bag, folder / "recovered")
-        except DriveIdError as error:
-            return power_cuts.Ran(1, "", f"drive-id: {error}\n", 0.1, 0.0)
-        return power_cuts.Ran(0, "", "", 0.1, 0.0)
-
-    def judge(seed):
-        tally = power_cuts.Tally()
-        (tmp_path / str(seed)).mkdir()
-        power_cuts.try_state(recorded, samples, random.Random(seed), tmp_path / str(seed), tally, "test")
-        return tally.outcomes
-
-    monkeypatch.setattr(power_cuts, "run", run)
-    return judge
-
-
-def test_a_writer_that_does_not_sync_its_names_is_found(judged):
-    after_the_end = [seed for seed in range(40) if random.Random(seed).random() < 0.15]
-    assert sum((judged(seed) for seed in after_the_end), Counter())["excess loss"] > 1
-
-
-def test_samples_that_nobody_wrote_are_found(written, judged, monkeypatch):
-    _, recorded, _ = written
-    monkeypatch.setattr(recorded.log, "crash_state", lambda _count, _rng, target: recorded.log.final_state(target))
-    assert judged(1)["wrong sample"] == 0
-    monkeypatch.setattr(recorded, "messages", recorded.messages[5:])
-    assert judged(2)["wrong sample"] == 1
 
 
 def test_growth_is_that_of_the_later_part():

@@ -19,10 +19,7 @@ from drive_id.errors import ConfigurationError
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 SEED = 1
-BOUNDS = {
-    0: 0.035, 2: 0.075, 4: 0.09, 6: 0.06, 9: 0.45, 10: 0.06, 11: 0.025, 13: 0.24, 16: 0.05, 19: 0.045, 22: 0.02,
-    26: 0.03,
-}  # fmt: skip
+BOUNDS = {2: 0.075, 4: 0.09, 6: 0.06, 9: 0.45, 11: 0.025, 13: 0.24, 16: 0.05, 26: 0.03}
 """Drives of seven families, two of them with an effect, and 1.6 times the flux error of 4 s of each when this was
 written, %."""
 
@@ -48,9 +45,8 @@ def test_a_part_of_the_population(population, number):
 
 
 @pytest.mark.accuracy
-@pytest.mark.parametrize("number", [0, 2])
-def test_a_part_of_the_population_on_free_shafts(population, number):
-    one = replace(population.drive(SEED, number), seconds=8.0)
+def test_a_drive_of_the_population_on_a_free_shaft(population):
+    one = replace(population.drive(SEED, 2), seconds=8.0)
     one = population.on_free_shaft(one)
     fit = population.fitted(one, population.recordings(one), "full")
     assert max(fit["psi_d"], fit["psi_q"]) < 0.15

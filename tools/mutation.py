@@ -3,8 +3,9 @@
     python tools/mutation.py --mutants 200 --seed 1 drive_id/core/checks drive_id/core/signals
 
 The tests run once on the unchanged code, to learn their durations and the lines that each of them reaches. Every mutant
-is then judged by the tests that reach its line, the quickest first, until one fails. Survivors are listed: a
-survivor is equivalent (no input distinguishes it from the original), or a test is missing.
+is then judged by the tests that reach its line until one fails: first those of ``make test``, the quickest first, then
+those that only ``make test-rest`` runs. Survivors are listed: a survivor is equivalent (no input distinguishes it from
+the original), or a test is missing. At the end stands how many of the others each of the two runs notices.
 
 The kernels that numba compiles are not traced: their mutants are judged by all tests that reach the module.
 """
@@ -61,6 +62,8 @@ CALCULATED: dict[type[ast.operator], type[ast.operator]] = {
     ast.BitAnd: ast.BitOr,
     ast.BitOr: ast.BitAnd,
 }
+LONG = ("accuracy", "browser", "process", "slow")
+"""Marks of tests that ``make test`` omits, unless they are essential."""
 LONGEST = 600
 """Wall time after which a mutant counts as killed, s; before that, its CPU time is limited."""
 
@@ -181,18 +184,30 @@ class Loading(importlib.abc.MetaPathFinder):
 
 
 class Durations:
-    """A plugin of pytest that notes the CPU time of each test with its fixtures, s."""
+    """A plugin of pytest that notes the CPU time of each test with its fixtures, s, and why ``make test`` omits it."""
 
     def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
+        self.seconds: dict[str, tuple[float, str]] = {}
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Generator[None, object, object]:
         """Take the time of set-up, call and tear-down."""
         begun = time.process_time()
         outcome = yield
-        self.seconds[item.nodeid] = time.process_time() - begun
+        marks = [mark for mark in LONG if item.get_closest_marker(mark) and not item.get_closest_marker("essential")]
+        self.seconds[item.nodeid] = time.process_time() - begun, "".join(marks[:1])
         return outcome
+
+
+class Begun:
+    """A plugin of pytest that leaves the name of the test that began last: with ``-x``, of the one that failed."""
+
+    def __init__(self, file: Path) -> None:
+        self.file = file
+
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        """Note its name."""
+        self.file.write_text(nodeid, encoding="utf-8")
 
 
 class Reach:
@@ -205,12 +220,14 @@ class Reach:
     """
 
     def __init__(self, folder: Path) -> None:
-        self.seconds: dict[str, float] = json.loads((folder / "durations.json").read_text(encoding="utf-8"))
+        notes = json.loads((folder / "durations.json").read_text(encoding="utf-8"))
+        self.seconds: dict[str, float] = {name: seconds for name, (seconds, _) in notes.items()}
+        self.marks: dict[str, str] = {name: mark for name, (_, mark) in notes.items()}
         self.data = CoverageData(str(folder / "coverage"))
         self.data.read()
 
     def tests(self, mutant: Mutant) -> list[str]:
-        """Return the tests that could notice a mutant, the quickest first."""
+        """Return the tests that could notice a mutant, those of ``make test`` first, the quickest of each first."""
         contexts = self.data.contexts_by_lineno(str(ROOT / mutant.file))
         near = {name for line in mutant.lines for name in contexts.get(line, []) if name}
         if not near:  # what runs on import, and kernels
@@ -218,7 +235,7 @@ class Reach:
         found = {name.rpartition("|")[0] for name in near}
         shared = {name.partition("::")[0] for name in near if name.endswith("|setup")}
         found |= {name for name in self.seconds if name.partition("::")[0] in shared}
-        return sorted(found & self.seconds.keys(), key=lambda name: self.seconds[name])
+        return sorted(found & self.seconds.keys(), key=lambda name: (bool(self.marks[name]), self.seconds[name]))
 
 
 def in_child(folder: Path, arguments: Sequence[str], loading: Loading | None, seconds: float) -> int:
@@ -236,7 +253,7 @@ def in_child(folder: Path, arguments: Sequence[str], loading: Loading | None, se
             sys.meta_path.insert(0, loading)
             resource.setrlimit(resource.RLIMIT_CPU, (int(seconds), int(seconds)))
             signal.alarm(LONGEST)
-            os._exit(pytest.main([*arguments]))
+            os._exit(pytest.main([*arguments], plugins=[Begun(folder / "begun")]))
         durations = Durations()
         code = pytest.main([*arguments], plugins=[durations])
         (folder / "durations.json").write_text(json.dumps(durations.seconds), encoding="utf-8")
@@ -263,8 +280,9 @@ def module_name(file: Path) -> str:
     return ".".join(file.with_suffix("").parts).removesuffix(".__init__")
 
 
-def killed(mutant: Mutant, tests: Sequence[str], folder: Path, seconds: float) -> bool:
-    """Return whether any of the tests fails, or does not end, with a mutant."""
+def killer(mutant: Mutant, tests: Sequence[str], folder: Path, seconds: float) -> str:
+    """Return the first test that fails, or does not end, with a mutant; an empty string if none does."""
+    (folder / "begun").write_text(tests[0], encoding="utf-8")  # which fails if drive_id cannot be imported
     file = folder / mutant.file.name
     file.write_text(mutated(mutant), encoding="utf-8")
     for cached in (folder / "__pycache__").glob(f"{file.stem}.*"):
@@ -274,7 +292,7 @@ def killed(mutant: Mutant, tests: Sequence[str], folder: Path, seconds: float) -
     )
     if code in (5, 99):
         raise SystemExit(f"pytest ran no test for {mutant} (exit code {code}): see {folder / 'log'}.")
-    return code != 0
+    return (folder / "begun").read_text(encoding="utf-8") if code else ""
 
 
 def main() -> None:
@@ -284,7 +302,7 @@ def main() -> None:
     parser.add_argument("--tests", nargs="+", default=["test/core"], help="test files and folders")
     parser.add_argument("--mutants", type=int, default=0, help="how many, drawn at random (default: all)")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--most-seconds", type=float, default=10.0, help="CPU time of the tests per mutant, s")
+    parser.add_argument("--most-seconds", type=float, default=10.0, help="CPU time of the tests of each run, s")
     parser.add_argument(
         "--folder", type=Path, default=ROOT / "out" / "mutation", help="folder for recorded data and mutated files"
     )
@@ -307,25 +325,29 @@ def main() -> None:
     total = len(drawn)
     if options.mutants:
         drawn = random.Random(options.seed).sample(drawn, min(options.mutants, total))
-    survived = unreached = 0
+    survived = unreached = by_rest = 0
     for number, mutant in enumerate(drawn, 1):
         tests: list[str] = []
-        seconds = 0.0
+        seconds = {True: 0.0, False: 0.0}  # of the tests that only test-rest runs, and of the others
         for name in reach.tests(mutant):
-            seconds += reach.seconds[name]
-            if tests and seconds > options.most_seconds:
-                break
-            tests.append(name)
+            rest = bool(reach.marks[name])
+            seconds[rest] += reach.seconds[name]
+            if not tests or seconds[rest] <= options.most_seconds:
+                tests.append(name)
         if not tests:
             unreached += 1
             print(f"{number}/{len(drawn)} no test reaches {mutant}", flush=True)
-        elif not killed(mutant, tests, folder, 4 * seconds + 60):
+        elif not (name := killer(mutant, tests, folder, 4 * sum(seconds.values()) + 60)):
             survived += 1
             print(f"{number}/{len(drawn)} survived {len(tests)} tests: {mutant}", flush=True)
-        elif number % 10 == 0:
-            print(f"{number}/{len(drawn)}", flush=True)
+        else:
+            mark = reach.marks.get(name, "")
+            by_rest += bool(mark)
+            print(f"{number}/{len(drawn)} {mark or 'make test'}: {name} notices {mutant}", flush=True)
     dead = len(drawn) - survived - unreached
     print(f"{len(drawn)} of {total} mutants: {dead} killed, {survived} survived, {unreached} reached by no test.")
+    if dead:
+        print(f"make test notices {(dead - by_rest) / dead:.0%} of them, only test-rest {by_rest / dead:.0%}.")
 
 
 if __name__ == "__main__":

@@ -504,10 +504,10 @@ def test_no_gain_is_negative():
     odrive = json.loads(content("odrive", drive=drive))
     assert min(odrive[f"axis0.config.motor.{name}"] for name in ("phase_inductance", "motor_model_l_d")) > 0
     assert mat("motor-control", drive=drive)["pmsm"].Ld > 0
-    for name in ("csv", "plecs", "simscape-2d"):
-        assert any("not monotone everywhere" in said for said in content_of(drive, name, CHOICE)[1].warnings)
-    assert mat("plecs", drive=drive)["Ldd"].min() > 0
-    assert mat("simscape-2d", drive=drive)["LdMatrix"].min() > 0
+    for name, inductance in (("csv", ""), ("plecs", "Ldd"), ("simscape-2d", "LdMatrix")):
+        data, exported = content_of(drive, name, CHOICE)
+        assert any("not monotone everywhere" in said for said in exported.warnings)
+        assert not inductance or loadmat(io.BytesIO(data))[inductance].min() > 0
 
 
 @pytest.mark.parametrize(

@@ -67,14 +67,13 @@ def test_rests_change_next_to_nothing():
     assert used[0] == pytest.approx(used[1], abs=1000)
 
 
-@pytest.mark.parametrize("machine", ["ipm", "spm", "pmsyrm"])
+@pytest.mark.parametrize("machine", ["spm", "pmsyrm"])
 def test_a_compensating_drive_is_still_told_apart(machine):
     assert COMPENSATES in said(concluded(live(machine, figure=6.0, inverter_compensation=True)))
 
 
-@pytest.mark.parametrize("machine", ["ipm", "pmsyrm"])
-def test_a_loss_of_voltage_is_still_located(machine):
-    simulation = live(machine)
+def test_a_loss_of_voltage_is_still_located():
+    simulation = live("pmsyrm")
     u_abc = simulation.samples.u_abc.copy()
     u_abc[33_550:33_600] = 0.0
     found = concluded(simulation, replace(simulation.samples, u_abc=u_abc))

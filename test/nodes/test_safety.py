@@ -1,4 +1,7 @@
-"""Every hazard of docs/safety.md at process level, with the shipped parameter files, and a few random scripts."""
+"""Every hazard of docs/safety.md at process level, with the shipped parameter files.
+
+Random scripts of several hazards are run by test_page_commands.py.
+"""
 
 from __future__ import annotations
 
@@ -164,11 +167,3 @@ def test_one_map_of_two_drives_is_a_finding(safety, monkeypatch, replies, found)
     said = bare_cell(safety, graph=graph, nodes={safety.DRIVE: None}).merged()
     assert found in said
     assert bool(found) == bool(said)
-
-
-@pytest.mark.process
-def test_random_scripts(safety, sound):
-    """With the node identification, which makes no map of two drives: two of the scripts restart or exchange one."""
-    sound.start_listener()
-    for number in (0, 2, 4):  # `make safety` tries as many as one likes
-        safety.script(sound, 7, number, ALLOWANCE)

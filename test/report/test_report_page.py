@@ -32,15 +32,39 @@ from drive_id.reporting.page.report import check_report_output, report_files
 HOSTILE = '</script><script>alert(1)</script> <b>&amp; "ipm"\' {{ 7 * 7 }} $x$'
 
 
-def page_of(result) -> Page:
-    """Return the report without its pictures, which take most of the time."""
-    operation = torque_map(result)
+def page_of(result, operation=None) -> Page:
+    """Return the report without its pictures; they take most of the time, and so do lines of operation not given."""
+    operation = operation or torque_map(result)
     return Page(rendered_page(content_of(result, operation), charts_of(result, operation), {}))
 
 
 @pytest.fixture(scope="module")
 def page(fitted):
     return Page(report_files(fitted)["report.html"].decode())
+
+
+@pytest.fixture(scope="module")
+def operation(fitted):
+    """The lines of operation of the fit, whatever its texts say."""
+    return torque_map(fitted)
+
+
+@pytest.fixture(scope="module")
+def loaded(fitted, tmp_path_factory):
+    """Its folder, and the page of what is loaded from there."""
+    folder = tmp_path_factory.mktemp("loaded") / "result"
+    fitted.save(folder, draw=False)
+    return folder, page_of(drive_id.load(folder))
+
+
+@pytest.fixture(scope="module")
+def page_of_full(full_like):
+    return page_of(full_like)
+
+
+@pytest.fixture(scope="module")
+def page_of_import(imported):
+    return page_of(imported)
 
 
 @pytest.fixture(scope="module")
@@ -69,9 +93,9 @@ def imported(fitted):
 
 
 @pytest.mark.slow  # reports are drawn
-@pytest.mark.parametrize("name", ["fitted", "full_like", "imported"])
+@pytest.mark.parametrize("name", ["page", "page_of_full", "page_of_import"])
 def test_nothing_is_loaded_and_the_file_is_small(name, request):
-    page = request.getfixturevalue("page") if name == "fitted" else page_of(request.getfixturevalue(name))
+    page = request.getfixturevalue(name)
     assert len(page.source.encode()) < 5e6
     for element in page.all():
         for attribute in ("src", "href", "srcset", "action", "data", "poster"):
@@ -120,19 +144,19 @@ def test_controls_have_names_and_tables_captions(page):
 
 
 @pytest.mark.slow  # a report is drawn
-def test_the_twin_is_identification_json(fitted, page, tmp_path):
-    fitted.save(tmp_path / "result", draw=False)
-    stored = json.loads((tmp_path / "result" / "identification.json").read_text(encoding="utf-8"))
+def test_the_twin_is_identification_json(page, loaded):
+    folder, again = loaded
+    stored = json.loads((folder / "identification.json").read_text(encoding="utf-8"))
     digests = stored.pop("files")
     assert set(digests) == {"flux_map.npz", "diagnostics.npz"}
     (recorded,) = stored["inputs"]
     recorded["file"] = "/".join(Path(recorded["file"]).parts[-2:])  # no folders of this computer
     assert page.data("identification") == stored
-    assert page_of(drive_id.load(tmp_path / "result")).data("identification") == stored
+    assert again.data("identification") == stored
 
 
 @pytest.mark.slow  # a report is drawn
-def test_names_and_warnings_stay_text(fitted):
+def test_names_and_warnings_stay_text(fitted, operation):
     provenance = replace(
         fitted.provenance,
         machine=HOSTILE,
@@ -140,7 +164,7 @@ def test_names_and_warnings_stay_text(fitted):
         inputs={HOSTILE: "0" * 64},
         date="<i>today</i>",
     )
-    page = page_of(replace(fitted, provenance=provenance))
+    page = page_of(replace(fitted, provenance=provenance), operation)
     assert len(page.all("script")) == 4
     assert not page.all("b", "i")
     (heading,) = page.all("h1")
@@ -204,8 +228,8 @@ def test_a_report_of_a_psm_fit_says_what_it_lacks(bag):
 
 
 @pytest.mark.slow  # a report is drawn
-def test_a_full_result_shows_bands_phases_and_faults(full_like):
-    page = page_of(full_like)
+def test_a_full_result_shows_bands_phases_and_faults(page_of_full):
+    page = page_of_full
     drawn = page.data("charts")["inverter"]
     assert set(drawn["sigma"]) == {0.05}
     assert drawn["phases"][1][-1] == pytest.approx(1.1 * drawn["voltage"][-1], rel=1e-4)
@@ -218,8 +242,8 @@ def test_a_full_result_shows_bands_phases_and_faults(full_like):
     assert [entry["name"] for entry in page.data("charts")["comparison"]["methods"]] == ["psm", "joint"]
 
 
-def test_an_imported_map_has_a_report(imported):
-    page = page_of(imported)
+def test_an_imported_map_has_a_report(page_of_import):
+    page = page_of_import
     for name in ("comparison", "residuals", "currents"):
         assert "no recording to compare" in page.by_id(name).text(), name
     assert "pole pairs is unknown" in page.by_id("operation").text()
@@ -241,11 +265,9 @@ def test_an_imported_map_has_a_report(imported):
 
 
 @pytest.mark.slow  # a report is drawn
-def test_a_stored_result_has_the_same_report(fitted, page, tmp_path):
-    fitted.save(tmp_path / "result", draw=False)
-    size = (tmp_path / "result" / "diagnostics.npz").stat().st_size
-    assert size < 3e5
-    stored = page_of(drive_id.load(tmp_path / "result"))
+def test_a_stored_result_has_the_same_report(page, loaded):
+    folder, stored = loaded
+    assert (folder / "diagnostics.npz").stat().st_size < 3e5
     assert stored.by_id("comparison").text() == page.by_id("comparison").text()
     ours, theirs = (found.data("charts") for found in (page, stored))
     pairs = [(ours["currents"], theirs["currents"])]
@@ -272,10 +294,10 @@ def test_a_fit_stores_what_its_samples_give(bag, fitted, tmp_path):
 
 
 @pytest.mark.slow  # a report is drawn
-def test_a_folder_of_an_earlier_version_has_a_report(fitted, tmp_path):
+def test_a_folder_of_an_earlier_version_has_a_report(fitted, operation, tmp_path):
     fitted.save(tmp_path / "result", draw=False)
     (tmp_path / "result" / "diagnostics.npz").unlink()
-    page = page_of(drive_id.load(tmp_path / "result"))
+    page = page_of(drive_id.load(tmp_path / "result"), operation)
     assert "holds no diagnostics.npz" in page.by_id("residuals").text()
     assert page.has_id("chart-inverter")
     assert page.has_id("chart-operation")
@@ -317,9 +339,9 @@ def test_fine_maps_are_thinned(fitted):
 
 
 @pytest.mark.slow  # a report is drawn
-def test_the_answer_stands_first_with_its_names(fitted):
+def test_the_answer_stands_first_with_its_names(fitted, operation):
     named = replace(fitted.provenance.settings, serial="SN 7", operator="A. N. Other", notes="<cold>")
-    page = page_of(replace(fitted, provenance=replace(fitted.provenance, settings=named)))
+    page = page_of(replace(fitted, provenance=replace(fitted.provenance, settings=named)), operation)
     assert page.all("title")[0].text() == "Identified drive: ipm, serial SN 7"
     tiles = [[part.text() for part in list(tile.all("span"))[:2]] for tile in page.by_id("glance").all("li")]
     answer = [[quantity.name, str(quantity)] for quantity in fitted.headline]
@@ -333,12 +355,12 @@ def test_the_answer_stands_first_with_its_names(fitted):
 
 
 @pytest.mark.slow  # a report is drawn
-def test_no_folder_of_this_computer_is_in_a_report(fitted):
+def test_no_folder_of_this_computer_is_in_a_report(fitted, operation):
     (file,) = fitted.provenance.inputs
     folder = str(Path(file).parent.parent)
     assert Path(file).is_absolute()
     said = replace(fitted.provenance, warnings=(Message.told(f"{file} breaks off: check it."),))
-    page = page_of(replace(fitted, provenance=said))
+    page = page_of(replace(fitted, provenance=said), operation)
     assert folder not in page.source
     assert "bag/bag_0.mcap breaks off: check it." in page.by_id("warnings").text()
 
@@ -353,9 +375,10 @@ def test_the_paragraph_has_the_results_own_numbers(fitted, page):
 
 
 @pytest.mark.slow  # a report is drawn
-def test_the_levels_follow_the_figures(fitted):
+def test_the_levels_follow_the_figures(fitted, operation):
     report = replace(fitted.drive.report, coverage=0.5, mad_d=0.05 * fitted.i_max)
-    page = page_of(replace(fitted, drive=replace(fitted.drive, report=report), stored=fitted.diagnostics))
+    changed = replace(fitted, drive=replace(fitted.drive, report=report), stored=fitted.diagnostics)
+    page = page_of(changed, operation)
     cards = {item.children[0].text(): item for item in page.by_id("glance").all("li")}
     assert cards["Disc covered"].attributes["class"] == "weak"
     assert "50 %" in cards["Disc covered"].text()

@@ -13,6 +13,9 @@ import pytest
 
 import drive_id
 
+FEW = {"current_points": 5, "torque_points": 2, "speed_points": 5}
+"""Of an analysis, which is faster by far with few of them."""
+
 
 @pytest.fixture(scope="module")
 def samples():
@@ -56,7 +59,7 @@ def test_a_result_is_drawn_on_given_axes(result):
 
 @pytest.mark.slow  # analyses are drawn
 def test_an_analysis_is_a_table_and_a_picture(result):
-    found = drive_id.analyze(result, drive_id.AnalysisSettings(u_dc=(300.0, 400.0)))
+    found = drive_id.analyze(result, drive_id.AnalysisSettings(u_dc=(300.0, 400.0), **FEW))
     assert found.to_pandas().loc["max_torque", "value"] == found.figures["max_torque"].value
     figure, axes = plt.subplots()
     assert found.plot(axes) is figure
@@ -64,7 +67,9 @@ def test_an_analysis_is_a_table_and_a_picture(result):
     plt.close(figure)
     assert "<th>max torque</th>" in found._repr_html_()
     assert found._repr_png_().startswith(b"\x89PNG")
-    without = drive_id.analyze(replace(result, provenance=replace(result.provenance, u_dc=None)))
+    without = drive_id.analyze(
+        replace(result, provenance=replace(result.provenance, u_dc=None)), drive_id.AnalysisSettings(**FEW)
+    )
     assert without._repr_png_() is None
 
 

@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,6 +21,7 @@ from drive_id.fitting.result import load
 from drive_id.fitting.sources import read_bag
 from drive_id.ros import first_start
 
+ROOT = Path(__file__).parents[2]
 NODES = "drive_id.nodes."
 I_MAX = 20.0
 OFFSET = -2.0
@@ -40,18 +42,12 @@ def ros():
 @pytest.mark.process
 @pytest.mark.slow  # a first start in real time
 def test_a_new_drive_is_characterized_by_one_command(ros):
-    output, data = ros.folder / "out", {"data_directory": str(ros.folder)}
-    truth = ros.folder / "truth.npz"
-    ros.start(NODES + "recorder", parameters=data)
-    fit = {"output_directory": str(ros.folder / "results"), "i_max": I_MAX, "pole_pairs": 3}
-    ros.start(NODES + "identification", parameters=data | fit)
-    ros.start(NODES + "trajectory_publisher", parameters=PUBLISHER)
-    ros.start(NODES + "bench_simulator", parameters=DRIVE | {"truth_file": str(truth)})
-    command = [sys.executable, "-m", "drive_id.ros.characterize", "--first-start", "--free-shaft"]
-    command += ["--drive", "bench_simulator"]
+    """The demonstration of it, as ``make`` runs it."""
+    output = ros.folder / "out"
+    make = ["make", "-o", "setup", f"BIN={Path(sys.executable).parent}", "demo", f"OUT={output}"]
     done = subprocess.run(
-        [*command, "--recording", "bag", "--output", str(output)],
-        env=ros.environment, capture_output=True, text=True, timeout=4 * DEADLINE, check=False,
+        [*make, "ARGS=--free-shaft --seconds 4.0"],
+        cwd=ROOT, env=ros.environment, capture_output=True, text=True, timeout=4 * DEADLINE, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     found = yaml.safe_load((output / "trajectory_publisher.yaml").read_text(encoding="utf-8"))["/**"]["ros__parameters"]
@@ -60,10 +56,10 @@ def test_a_new_drive_is_characterized_by_one_command(ros):
     assert (drive["encoder_direction"], drive["encoder_pole_pairs"]) == (1, 1)
     assert abs(found["angle_offset"]) < 0.02  # what is left
     for name in ("bag_first_start", "bag_verified", "bag_shake_1", "bag_shake_2", "bag"):
-        samples = read_bag(ros.folder / name)
+        samples = read_bag(output / name)
         assert np.abs(samples.i_abc).max() < 1.2 * I_MAX
         assert np.abs(samples.speed).max() < 1.2 * SPEED_MAX
-    known, identified = decode_truth(truth.read_bytes(), ""), load(output / "recording")
+    known, identified = decode_truth((output / "truth.npz").read_bytes(), ""), load(output / "recording")
     flux_map = identified.drive.flux_map
     i_d, i_q = np.meshgrid(flux_map.i_d, flux_map.i_q, indexing="ij")
     inside = flux_map.inside & (np.hypot(i_d, i_q) <= known.i_max)

@@ -57,7 +57,7 @@ def misfit_found(fit: FullFit) -> Message | None:
         return Message("misfit.time", time=fit.assessment.outlying_time, **values)
     moved, moves = _moved(fit)
     if not moves:
-        return Message("misfit.harmless", moved=moved, **values)
+        return Message("harmless_misfit", moved=moved, **values)
     if misfit.low > _CONCENTRATED * misfit.ratio:
         return Message("misfit.small_currents", low=misfit.low, **values)
     return _with_cause("misfit", fit, **values)

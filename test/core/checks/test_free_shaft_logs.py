@@ -118,7 +118,7 @@ def test_an_offset_is_still_found_on_a_free_shaft():
 def test_an_offset_of_the_sensors_is_traced_in_the_flux():
     """The mean slope of the drop, which does not act on a constant voltage here, gave 0.11 ± 0.004 A of 1 A."""
     drive = replace(DRIVE, inverter="tanh", inverter_voltage=6.5, current_offset=(1.0, -0.5, -0.5), seed=1)
-    samples = simulate_swing(machine_map("ipm"), drive, Swing(), 10.0).samples
+    samples = simulate_swing(machine_map("ipm"), drive, Swing(), 5.0).samples
     found = drive_id.fit(samples, settings=drive_id.FitSettings(pole_pairs=3, harmonic_orders=(6, 12)))
     offset = {each.name: each for each in found.calibrations}["current_offset_alpha"]
     assert offset.applied

@@ -79,7 +79,7 @@ class Cell:
         )
         self.experiment = SupervisedExperiment(self.settings)
         self.now = 1_000_000_000
-        self.peaks, self.speeds, self.means = [], [], []
+        self.peaks, self.speeds, self.means, self.wanted = [], [], [], []
 
     def tick(self):
         steady = self.now * 1e-9
@@ -94,6 +94,7 @@ class Cell:
             self.experiment.status(self.now, steady, status)
         for block in self.experiment.advance(self.now, steady):
             d, q = block.i_dq.T
+            self.wanted.append(block.i_dq)
             self.bench.references.add(
                 block.stamp, block.sample_period, d, q,
                 session=block.session, count=block.count, safe=block.safe, stator_frame=block.stator_frame,
@@ -151,6 +152,8 @@ def test_a_swing_that_was_planned_for_a_heavier_rotor_trips():
     report = cell.run()
     assert report.state is ExperimentState.TRIPPED
     assert "above 1.2 times shaft_speed_max" in report.reason
+    driven = [block for block in cell.wanted if block.any()]
+    assert driven[-1][-1].any(), "zero at once, without a ramp: every further moment of torque drives it on"
     for _ in range(10):
         cell.tick()
     assert cell.peaks[-1] < 5.0  # A

@@ -99,7 +99,6 @@ def test_what_noise_takes_from_the_map_is_given_back():
     assert np.linalg.norm(whole) < 0.8 * np.linalg.norm(diluted)
 
 
-@pytest.mark.accuracy
 def test_deviations_grow_with_the_noise(result):
     noisy = identify([record(drop=even_drop, duration=4.0, noise=3.0)], FULL)
     inside = result.flux_map.inside & noisy.flux_map.inside
@@ -168,7 +167,6 @@ def test_voltages_late_throughout_one_recording_are_no_slip(samples):
     assert fitted(replace(samples, u_abc=np.roll(samples.u_abc, 1, axis=0))).assessment.jump is None
 
 
-@pytest.mark.accuracy
 def test_an_offset_of_the_angle_is_found_by_symmetry(samples):
     turned = identify([replace(samples, angle=samples.angle + 0.03)], FULL)
     found = {entry.name: entry for entry in turned.calibrations}["resolver_offset"]
@@ -179,7 +177,6 @@ def test_an_offset_of_the_angle_is_found_by_symmetry(samples):
     assert errors(as_measured).max() > 5e-3
 
 
-@pytest.mark.accuracy
 def test_gain_mismatch_is_traced_back(samples):
     gains, offset = np.array([1.006, 0.997, 0.997]), np.array([0.6, -0.2, -0.4])
     faulty = identify([replace(samples, i_abc=samples.i_abc * gains + offset)], FULL)
@@ -192,7 +189,6 @@ def test_gain_mismatch_is_traced_back(samples):
     assert np.all(errors(faulty) < 2e-3)
 
 
-@pytest.mark.accuracy
 def test_each_phase_may_have_its_own_curve():
     settings = replace(FULL, per_phase_inverter=True)
     found = identify([record(drop=drop, duration=4.0, noise=0.3)], settings)
@@ -200,7 +196,6 @@ def test_each_phase_may_have_its_own_curve():
     assert np.all(errors(found) < 2e-3)
 
 
-@pytest.mark.accuracy
 def test_a_map_that_folds_can_be_kept_from_it():
     """Few noisy data and free maps give spurious folds."""
     weak = record(drop=even_drop, duration=1.5, noise=12.0)
@@ -256,7 +251,6 @@ def test_conditions_are_one_for_each_recording(samples):
         replace(FULL, temperatures=(20.0, 30.0), u_dc=(400.0,))
 
 
-@pytest.mark.accuracy
 def test_temperatures_separate_winding_and_magnet():
     def hot_flux(i_dq):
         return reciprocal_flux(i_dq) - np.array([0.004, 0.0])
@@ -270,7 +264,6 @@ def test_temperatures_separate_winding_and_magnet():
     assert np.all(errors(found) < 2e-3)
 
 
-@pytest.mark.accuracy
 def test_the_drop_scales_with_the_dc_link():
     low = record(drop=even_drop, duration=3.0, noise=0.3)
     high = record(drop=lambda i: 1.5 * even_drop(i), duration=3.0, noise=0.3, speed=-260.0)

@@ -50,7 +50,7 @@ def oracle(stamp, values, period, wanted):
 
 
 @pytest.mark.slow  # the oracle joins thousands of cuts row by row
-@settings(max_examples=60, deadline=None, phases=[Phase.explicit, Phase.generate])
+@settings(max_examples=30, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(st.data())
 def test_any_cut_of_the_streams_gives_the_oracle(data):
     n = data.draw(st.integers(300, 2500))

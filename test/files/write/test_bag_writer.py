@@ -112,9 +112,12 @@ def test_messages_are_logged_in_order_and_not_before_their_last_sample(tmp_path)
 
 def test_start_stamp(tmp_path):
     samples = make_samples()
+    link = np.linspace(400.0, 410.0, len(samples)).astype(np.float32).astype(float)
+    samples = replace(samples, dc_link_voltage=link)
     write_recording(tmp_path / "bag", samples, start_stamp=5 * 10**9)
-    recording = read_recording(tmp_path / "bag")
-    assert_equal_samples(recording.samples, replace(samples, stamp=samples.stamp - START + 5 * 10**9))
+    found = read_recording(tmp_path / "bag").samples
+    assert_equal_samples(found, replace(samples, stamp=samples.stamp - START + 5 * 10**9))
+    np.testing.assert_allclose(found.dc_link_voltage, link, rtol=1e-6)
 
 
 def test_unknown_references_are_left_out(tmp_path):

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import random
 import shutil
-from pathlib import Path
 
 import pytest
 from bag_samples import make_samples
+from forgetful_disk import logged
 from recorder_blocks import START, TOPICS, block, feed
 from rosbags.rosbag2 import Reader
 
@@ -18,17 +18,6 @@ from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
 from drive_id.live.recording.recording_session import RecordingSession
 from drive_id.live.recording.recording_settings import RecordingSettings
-
-BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
-
-
-@pytest.fixture
-def disk(monkeypatch):
-    """The module with the disk that forgets."""
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    import forgetful_disk
-
-    return forgetful_disk
 
 
 def tree(folder):
@@ -68,9 +57,9 @@ def add_blocks(writer, first, count):
 @pytest.mark.parametrize(
     "write", [recorded, recovered, lambda folder: write_recording(folder / "bag", make_samples(2000))]
 )
-def test_nothing_of_a_complete_recording_is_lost(disk, tmp_path, write):
+def test_nothing_of_a_complete_recording_is_lost(tmp_path, write):
     (tmp_path / "disk").mkdir()
-    with disk.logged(tmp_path / "disk") as log:
+    with logged(tmp_path / "disk") as log:
         write(tmp_path / "disk")
     there = tree(tmp_path / "disk")
     assert any(name.endswith("metadata.yaml") for name in there)
@@ -82,9 +71,9 @@ def test_nothing_of_a_complete_recording_is_lost(disk, tmp_path, write):
 
 @pytest.mark.cases
 @pytest.mark.parametrize("split", [False, True])
-def test_what_was_flushed_to_the_disk_can_be_recovered(disk, tmp_path, split):
+def test_what_was_flushed_to_the_disk_can_be_recovered(tmp_path, split):
     (tmp_path / "disk").mkdir()
-    with disk.logged(tmp_path / "disk") as log:
+    with logged(tmp_path / "disk") as log:
         writer = Rosbag2McapWriter(tmp_path / "disk" / "new" / "bag", live=True, chunk_size=4096)
         add_blocks(writer, 0, 10)
         if split:
@@ -111,10 +100,10 @@ def test_what_was_flushed_to_the_disk_can_be_recovered(disk, tmp_path, split):
                 assert all(data == block(topic.type_name, k) for k, data in zip(first, blocks, strict=True))
 
 
-def test_without_any_sync_everything_may_be_lost(disk, tmp_path):
+def test_without_any_sync_everything_may_be_lost(tmp_path):
     """The disk of these tests does forget."""
     (tmp_path / "disk").mkdir()
-    with disk.logged(tmp_path / "disk") as log:
+    with logged(tmp_path / "disk") as log:
         writer = Rosbag2McapWriter(tmp_path / "disk" / "bag", live=True)
         add_blocks(writer, 0, 10)
         writer.flush()

@@ -14,13 +14,11 @@ The model is that of Pillai et al., "All file systems are not created equal", OS
 from __future__ import annotations
 
 import builtins
-import errno
 import io
 import os
 import pathlib
 import random
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -57,7 +55,6 @@ class Sync:
 
     node: int
     known: int
-    seconds: float
 
 
 @dataclass
@@ -66,8 +63,6 @@ class DiskLog:
 
     root: Path
     operations: list[Name | Write | Sync] = field(default_factory=list)
-    times: list[float] = field(default_factory=list)
-    """When each operation was over, s of the steady clock."""
 
     def __post_init__(self) -> None:
         self._names: dict[int, dict[str, int]] = {_ROOT: {}}
@@ -81,7 +76,6 @@ class DiskLog:
         """Add an operation that is over."""
         with self._lock:
             self.operations.append(operation)
-            self.times.append(time.monotonic())
 
     def covers(self, path: Path) -> bool:
         """Return whether a path lies below the folder."""
@@ -134,15 +128,10 @@ class DiskLog:
 
     def sync(self, descriptor: int, fsync: Callable[[int], None]) -> None:
         """Sync a file or folder, and note what had happened before."""
-        known, begin = len(self.operations), time.monotonic()
+        known = len(self.operations)
         fsync(descriptor)
         if descriptor in self._open:
-            self.note(Sync(self._open[descriptor], known, time.monotonic() - begin))
-
-    @property
-    def longest_sync(self) -> float:
-        """Longest time that a sync took, s."""
-        return max((each.seconds for each in self.operations if isinstance(each, Sync)), default=0.0)
+            self.note(Sync(self._open[descriptor], known))
 
     # -- what is left of it --------------------------------------------------------------------------------------------
 
@@ -184,7 +173,7 @@ class DiskLog:
         everything = DiskLog(self.root, [*self.operations])
         everything._names = self._names
         nodes = [_ROOT, *range(2, self._nodes + 1)]
-        everything.operations += [Sync(node, len(self.operations), 0.0) for node in nodes]
+        everything.operations += [Sync(node, len(self.operations)) for node in nodes]
         everything.crash_state(len(everything.operations), random.Random(0), target)
 
     def _synced(self, count: int) -> dict[int, int]:
@@ -271,12 +260,12 @@ def _apply(content: bytearray, write: Write) -> None:
 
 
 class LoggedFile(io.FileIO):
-    """A file whose writes are logged; with ``room``, on a disk that is full after this many bytes."""
+    """A file whose writes are logged."""
 
-    def __init__(self, log: DiskLog, path: Path, mode: str, room: int | None = None) -> None:
+    def __init__(self, log: DiskLog, path: Path, mode: str) -> None:
         existed = path.exists()
         super().__init__(path, mode)
-        self._log, self._room = log, room
+        self._log = log
         self.node = log.node(path) if existed else log.made(path)
         if existed and "w" in mode:
             log.note(Write(self.node, 0, None))
@@ -284,13 +273,8 @@ class LoggedFile(io.FileIO):
 
     def write(self, data: Any) -> int:
         """Write, and note it."""
-        wanted = bytes(data)
-        if self._room is not None and wanted:
-            wanted = wanted[: max(self._room - self.tell(), 0)]
-            if not wanted:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        written = super().write(wanted)
-        self._log.note(Write(self.node, self.tell() - written, wanted[:written]))
+        written = super().write(data)
+        self._log.note(Write(self.node, self.tell() - written, bytes(data)[:written]))
         return written
 
     def truncate(self, size: int | None = None) -> int:

@@ -1,7 +1,8 @@
 """Fit a population of random drives by several methods, and say which results are wrong, silent or blamed on others.
 
 Usage: python benchmarks/population.py [--count 300] [--seed 1] [--only NUMBER ...] [--methods full,joint] [--jobs 1]
-           [--samples-cache FOLDER] [--output out/population.json] [--page docs/population.md] [--against OLD.json]
+           [--samples-cache FOLDER] [--output out/population.json] [--page docs/population.md] [--fresh OTHER.json]
+           [--against OLD.json]
 
 A drive depends on its seed and number alone. The output holds one line per drive and is continued when it exists.
 """
@@ -320,6 +321,7 @@ def main() -> None:
     parser.add_argument("--samples-cache", type=Path, help="keep the simulated samples in this folder (4 MB a drive)")
     parser.add_argument("--output", type=Path, default=Path("out/population.json"), help="one line of JSON per drive")
     parser.add_argument("--page", type=Path, help="page to write (Markdown)")
+    parser.add_argument("--fresh", type=Path, help="output of another seed, for a section of the page")
     parser.add_argument("--against", type=Path, help="earlier output: list the drives that got worse")
     parser.add_argument("--timeout", type=float, default=TIMEOUT, help="of one drive, s")
     options = parser.parse_args()
@@ -343,6 +345,10 @@ def main() -> None:
     verdicts = {(row["number"], method): judged(row, method) for row in chosen for method in methods}
     command = f'make population ARGS="--count {options.count} --seed {options.seed}"'
     lines = [*population_report.page(chosen, methods, verdicts, command)]
+    if options.fresh:
+        others = [*read(options.fresh).values()]
+        judgements = {(row["number"], method): judged(row, method) for row in others for method in methods}
+        lines += population_report.fresh(others, methods, judgements)
     if options.free_shaft:
         lines += ["", *mechanics_lines(chosen, methods[0])]
     if options.page:

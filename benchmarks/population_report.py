@@ -79,6 +79,19 @@ def page(rows: Sequence[Row], methods: Sequence[str], verdicts: Verdicts, comman
         yield from ("", f"Not simulated, because the controller lost the currents: {', '.join(missing)}.")
 
 
+def fresh(rows: Sequence[Row], methods: Sequence[str], verdicts: Verdicts) -> Iterator[str]:
+    """Yield the lines on another seed, on whose drives no rule was judged."""
+    simulated = [row for row in rows if "not_simulated" not in row]
+    counts = {verdict: sum(verdict in verdicts[row["number"], methods[0]] for row in simulated) for verdict in VERDICTS}
+    yield from ("", "## A seed on which no rule was judged", "")
+    yield f'Written by `make population ARGS="--count {len(rows)} --seed {rows[0]["seed"]} --output FRESH.json"`'
+    yield "and `--fresh FRESH.json`."
+    yield f"Verdicts on `{methods[0]}`: {', '.join(f'{verdict} {count}' for verdict, count in counts.items())}."
+    yield ""
+    good = [row for row in simulated if row["well_posed"]]
+    yield from _table({"all": good, "without effects": [row for row in good if not row["effects"]]}, methods)
+
+
 def _table(groups: Mapping[str, Sequence[Row]], methods: Sequence[str]) -> Iterator[str]:
     heads = [*(f"{100 * q:g} %" if q < 1 else "max" for q in QUANTILES), "R 50 %", "R 95 %", "band", "CPU"]
     yield f"| drives | number | method | {' | '.join(heads)} |"

@@ -24,7 +24,7 @@ from drive_id.core.full.linearized import (
     settled,
     with_hidden_ripple,
 )
-from drive_id.core.full.model import PENALTIES, FullModel, ModelSpec
+from drive_id.core.full.model import PENALTIES, RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.reduced import Reduced, Subset, best_delay
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.window_sums import FOLDS, WindowSums
@@ -48,6 +48,8 @@ _SAME_DELAY = 1e-3
 """Samples by which delays may differ and be one."""
 _CLOSE = 0.05
 """Relative difference of savings below which two effects explain the residuals equally well."""
+_MOVED = (1e-3, 5e-3)
+"""Changes of the map and of R, relative, from which on it matters which of two effects is true."""
 _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
 _RIVAL = 0.3
@@ -138,6 +140,15 @@ class _Search:
     def _explains_misfit(self, names: frozenset[str], name: str, delay: float) -> bool:
         before, after = (self.subset(each).squares(delay) for each in (names - {name}, names))
         return before - after > OF_MISFIT * (before - self.explained)
+
+    def moves(self, found: _Set, other: _Set) -> bool:
+        """Tell whether another set moves the map or R by more than matters to anybody."""
+        model = self.reduced.model
+        one, two = (self.reduced.estimate(self.subset(each.names), each.delay) for each in (found, other))
+        rows = model.flux.rows(self.noise.windows.i_dq[:, 0])
+        flux, moved = (rows.dot(estimate[model.map]) for estimate in (one, two - one))
+        of_resistance = abs(float(two[RESISTANCE] / one[RESISTANCE]) - 1.0)
+        return bool(np.linalg.norm(moved) > _MOVED[0] * np.linalg.norm(flux) or of_resistance > _MOVED[1])
 
     def run(self) -> _Set:
         """Return the set of the least score."""
@@ -304,11 +315,12 @@ def _taken(search: _Search, chosen: _Set, significant: Callable[[float], bool]) 
     saved = {member: search.without(chosen, member).squares - chosen.squares for member in chosen.members}
     for member in sorted(saved, key=lambda name: -saved[name]):
         rivals = {
-            name
+            name: other
             for name, other, share in search.exchanged(chosen, member)
             if share > 1 - _CLOSE and member not in _BESIDE and (name != DELAY or significant(other.delay))
         }
-        yield Taken(member, tuple(sorted(rivals)))
+        moved = any(search.moves(chosen, other) for other in rivals.values())
+        yield Taken(member, tuple(sorted(rivals)), moved)
 
 
 def _among_rivals(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 
 import numpy as np
 from scipy import sparse
@@ -27,6 +28,7 @@ from drive_id.core.full.linearized import (
 from drive_id.core.full.model import PENALTIES, RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.reduced import Reduced, Subset, best_delay
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
+from drive_id.core.full.standard_errors import STUDENT
 from drive_id.core.full.window_sums import FOLDS, WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.numerics.threads import in_threads
@@ -43,7 +45,7 @@ _CERTAIN = 2.0
 _WIDE, _DEEP = 5, 6
 """Sets that are extended at a time, and most members of a set."""
 _LINEARIZATIONS, _CONFIRMATIONS = 4, 4
-"""Most linearizations about the best set, and most confirmations: both bound the time."""
+"""Most linearizations about the best set, and confirmations after which no other effects are tried: bounds of time."""
 _SAME_DELAY = 1e-3
 """Samples by which delays may differ and be one."""
 _CLOSE = 0.05
@@ -252,12 +254,14 @@ def search_effects(
         sums, plain, noise, tuple(allowed), turn, not several_speeds(noise.windows.speed.mean(axis=1)), least
     )
     state, chosen, search = _about_its_best(first, first, rules)
-    for _ in range(_CONFIRMATIONS):
+    for number in count(1):
         state, chosen = _among_rivals(sums, state, search, chosen, plain)
         weak = _unconfirmed(state, search, chosen, plain)
         if weak is None:
             break
         rules = rules.without(weak)
+        if number >= _CONFIRMATIONS:  # no new ones from now on, so that it ends soon
+            rules = replace(rules, allowed=tuple(chosen.names - {weak}))
         state, chosen, search = _about_its_best(state, first, rules)
     delay = state.found.delay
     if chosen.delay != plain.delay:
@@ -369,7 +373,8 @@ def _unconfirmed(state: EffectSearch, search: _Search, chosen: _Set, plain: Mode
     gains = errors[:, 1:] - errors[:, :1]
     share = gains.sum(axis=0) / errors[:, 1:].sum(axis=0)
     certain = gains.mean(axis=0) / np.maximum(gains.std(axis=0) / np.sqrt(len(gains)), 1e-300)
-    weak = np.flatnonzero((share < [_price(member) for member in members]) | (certain < _CERTAIN))
+    least = _CERTAIN * (1.0 + STUDENT / max(len(gains) - 1, 1))
+    weak = np.flatnonzero((share < [_price(member) for member in members]) | (certain < least))
     return members[min(weak, key=lambda k: share[k])] if len(weak) else None
 
 

@@ -22,7 +22,7 @@ SIGNIFICANCE = 5.0
 _SERIES, _CONVERGED = 16, 1e-3
 """Most terms of the binomial series of the leverage correction, and the term, relative to the sum, that ends it: far
 below the uncertainty of a standard error."""
-_STUDENT = 1.21
+STUDENT = 1.21
 """Relative excess of Student's 97.5 % quantile over the normal one, per inverse degree of freedom: (1.96^2 + 1) / 4."""
 _FEWEST = 6.0
 """Fewest degrees of freedom that are assumed, since their estimate is low by chance where there are few."""
@@ -41,7 +41,7 @@ def sigma(changes: FloatArray) -> FloatArray:
     squares = changes**2
     total = squares.sum(axis=-1)
     freedom = 3 * total**2 / np.maximum(np.sum(squares**2, axis=-1), TINY)
-    return np.asarray(np.sqrt(total) * (1 + _STUDENT / np.maximum(freedom, _FEWEST)))
+    return np.asarray(np.sqrt(total) * (1 + STUDENT / np.maximum(freedom, _FEWEST)))
 
 
 def changes_by_batch(sums: WindowSums, solution: FullSolution, column: int) -> FloatArray:

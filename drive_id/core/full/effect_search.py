@@ -261,7 +261,7 @@ def search_effects(
             break
         rules = rules.without(weak)
         if number >= _CONFIRMATIONS:  # no new ones from now on, so that it ends soon
-            rules = replace(rules, allowed=tuple(chosen.names - {weak}))
+            rules = replace(rules, allowed=tuple(sorted(chosen.names - {weak})))
         state, chosen, search = _about_its_best(state, first, rules)
     delay = state.found.delay
     if chosen.delay != plain.delay:
@@ -339,7 +339,7 @@ def _among_rivals(
         return state, chosen
     others = [
         other
-        for member in chosen.members & _TURNING
+        for member in sorted(chosen.members & _TURNING)
         for name, other, share in search.exchanged(chosen, member)
         if name in _TURNING and share > _RIVAL
     ]
@@ -360,7 +360,7 @@ def _unconfirmed(state: EffectSearch, search: _Search, chosen: _Set, plain: Mode
     if not chosen.members:
         return None
     smooth = state.solver.reduced(replace(plain, penalty=PENALTIES[-1])).subset(chosen.names)
-    for name in chosen.names:
+    for name in sorted(chosen.names):
         own, rough = state.solver.model.effect(name), search.subset(chosen.names).value(name, chosen.delay)
         change = smooth.value(name, chosen.delay) - rough
         squares, moved = (float(x @ state.solver.total[own, own] @ x) for x in (rough, change))

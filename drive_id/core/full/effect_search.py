@@ -112,7 +112,7 @@ class _Search:
         squares, terms = self.subset(names).squares(delay), 0
         if delay != self.usual:
             terms = 1 if (2 * delay).is_integer() else 2
-        score = float(np.log(squares + self.least)) + _PRICE * terms + sum(_price(name) for name in names)
+        score = float(np.log(squares + self.least)) + _PRICE * terms + sum(map(_price, sorted(names)))
         return _Set(names, delay, squares, score, names | {DELAY} if terms else names)
 
     def best(self, names: frozenset[str]) -> _Set | None:

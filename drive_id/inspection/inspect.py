@@ -157,7 +157,10 @@ def _look(
         found += prescan.findings()
     overview = overviewing.overview(prescan.radius) if prescan.samples else None
     if overview is not None:
-        found += overview.findings()
+        restarts = [message for message in reading.warnings if message.code == "time_restarts"]
+        captures = max((int(message.values["places"]) for message in restarts), default=0)
+        told = captures >= overview.figures["runs"] - 1  # where time starts again, nothing is lost and nothing jitters
+        found += [finding for finding in overview.findings() if not (told and finding.code == "gaps")]
     return found, overview, reading.warnings
 
 

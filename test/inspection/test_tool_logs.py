@@ -107,6 +107,14 @@ TOOLS = {  # writer, sample period, s, and missing samples
             comma=True, digits={"time_ms": "%.6g"},
         ), 5e-5, 0,
     ),
+    "six digits at 16 kHz, semicolons": (
+        lambda p, c: tool_logs.csv(p / "a.csv", stretched(c, 6.25e-5, 250.0), ";", digits={"t": "%.6g"}, comma=True),
+        6.25e-5, 0,
+    ),
+    "zip of a LabVIEW file at 12.5 kHz": (
+        lambda p, c: tool_logs.packed(p / "a.lvm.zip", tool_logs.labview, stretched(c, 8e-5)), 8e-5, 0,
+    ),
+    "JSON lines at 4 kHz": (lambda p, c: tool_logs.json_lines(p / "a.log", stretched(c, 2.5e-4, 7.0)), 2.5e-4, 0),
     "lost rows, tabs": (
         lambda p, c: tool_logs.csv(
             p / "a.txt", {n: np.delete(x, np.r_[1000:1007, 3000:3090, 5000]) for n, x in c.items()}, "\t"
@@ -164,7 +172,7 @@ def test_captures_whose_time_starts_again_are_runs(writer, tmp_path, samples, co
     assert found.run_starts.tolist() == [N // parts * k for k in range(parts)]
     assert "time_restarts" in warnings
     assert found.sample_period == pytest.approx(1e-4, rel=1e-6)
-    assert "stamp_jitter" not in [finding.code for finding in check(path).findings]
+    assert not {"stamp_jitter", "gaps"} & {finding.code for finding in check(path).findings}
 
 
 def test_captures_with_a_header_each_are_runs(tmp_path, samples, columns):
@@ -225,6 +233,8 @@ DUTY = {
     "percent": (100.0, ("duty_a", "duty_b", "duty_c"), "U_dc/100"),
     "percent without names": (100.0, ("ch4", "ch5", "ch6"), "U_dc/100"),
     "permille": (1000.0, ("d1", "d2", "d3"), "U_dc/1000"),
+    "percent of another tool": (100.0, ("PWM_U", "PWM_V", "PWM_W"), "U_dc/100"),
+    "counts of a smaller timer": (4200.0, ("TIM1_1", "TIM1_2", "TIM1_3"), "U_dc/4200"),
     "counts of a timer": (8400.0, ("CCR1", "CCR2", "CCR3"), "U_dc/8400"),
 }
 

@@ -68,6 +68,16 @@ class Delay:
         return 1 / (1 + 2 * self.value) if -1 / 2 < self.value < -1 / 4 + _PHYSICAL else 0.0
 
     @property
+    def tolerance(self) -> float:
+        """Samples within which it is one of half or whole samples, unless a decimated log has such a delay."""
+        return _PHYSICAL if self.decimation else max(_PHYSICAL, _SIGNIFICANCE * self.sigma)
+
+    @property
+    def certain(self) -> bool:
+        """Whether no other half or whole number of samples is within four standard errors."""
+        return 4 * self.sigma < 0.5
+
+    @property
     def physical(self) -> bool:
         """Whether it is a half or a whole number of samples, as the timing of a drive causes.
 
@@ -75,8 +85,7 @@ class Delay:
         """
         if np.isnan(self.value):
             return False
-        halves = 2 * self.value
-        allowed = max(_PHYSICAL, _SIGNIFICANCE * self.sigma)
+        halves, allowed = 2 * self.value, self.tolerance
         told = allowed < 0.25 or abs(self.value) <= _USUAL  # no value is farther from a half or a whole sample
         return told and round(halves) != 0 and abs(halves - round(halves)) < 2 * allowed
 

@@ -139,7 +139,7 @@ class _ReportedEffect:
         """Return a value and its standard error, shown in a unit of which an SI unit is ``scale``; ``more`` is told."""
         rivals = ",".join(self.taken.rivals) or None
         told = {"value": value, "sigma": sigma, **more, "rivals": rivals, "several_speeds": self.several_speeds}
-        shown, doubtful = float(scale * value), self.taken.moved or name == VOLTAGE_MISMATCH
+        shown, doubtful = float(scale * value), rivals is not None or name == VOLTAGE_MISMATCH
         return Calibration(name, shown, float(scale * sigma), unit, True, Message(key or name, **told), doubtful)
 
 

@@ -248,12 +248,12 @@ def _squares(model: FullModel, estimate: FloatArray, windows: Windows) -> float:
 
 
 def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> FloatArray:
-    """Return the change (size,) of the estimate by a standard error of a delay that is no half or whole sample.
+    """Return the change (size,) of the estimate by a standard error of a delay that is no certain half or whole sample.
 
     At a constant speed it turns all fluxes, and the residuals hardly change.
     """
     delay, found = Delay(solution.spec.delay, 0.0), selection.search.found
-    if delay.value != found.delay.value or delay.physical:
+    if delay.value != found.delay.value or (delay.physical and found.delay.certain):
         return np.zeros(solver.model.size)
     other = float(np.clip(delay.value + found.delay.sigma, -MOST_DELAY, MOST_DELAY))
     return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate

@@ -37,7 +37,6 @@ class Taken:
 
     name: str  # in ``EFFECTS``, or ``DELAY``
     rivals: tuple[str, ...]  # effects that would have explained nearly as much
-    moved: bool  # whether the map or R would be another one with any of them
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,6 +29,8 @@ _SMOOTHING_BOUND = 2.0
 """Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05
 """Largest distance of a delay from that which its cause has, such as a half or a whole sample, samples."""
+_EXACT = 0.02
+"""The same of a delay as decimated logs have: by five, one of -0.4 samples was estimated as -0.456."""
 _LEAST_JUMP, _LEAST_SHARE = 0.2, 0.1
 """Jump of a delay in what the fit left of it, samples: of one sample, the fit takes half and more; and the share of the
 squared residuals that a jump must explain: without one, it was below 0.002."""
@@ -70,7 +72,7 @@ class Delay:
     @property
     def tolerance(self) -> float:
         """Samples within which it is one of half or whole samples, unless a decimated log has such a delay."""
-        return _PHYSICAL if self.decimation else max(_PHYSICAL, _SIGNIFICANCE * self.sigma)
+        return _EXACT if self.decimation else max(_PHYSICAL, _SIGNIFICANCE * self.sigma)
 
     @property
     def certain(self) -> bool:

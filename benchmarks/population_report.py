@@ -84,8 +84,7 @@ def fresh(rows: Sequence[Row], methods: Sequence[str], verdicts: Verdicts) -> It
     simulated = [row for row in rows if "not_simulated" not in row]
     counts = {verdict: sum(verdict in verdicts[row["number"], methods[0]] for row in simulated) for verdict in VERDICTS}
     yield from ("", "## A seed on which no rule was judged", "")
-    yield f'Written by `make population ARGS="--count {len(rows)} --seed {rows[0]["seed"]} --output FRESH.json"`'
-    yield "and `--fresh FRESH.json`."
+    yield f"The same with `--count {len(rows)} --seed {rows[0]['seed']}`, put into this page by `--fresh`."
     yield f"Verdicts on `{methods[0]}`: {', '.join(f'{verdict} {count}' for verdict, count in counts.items())}."
     yield ""
     good = [row for row in simulated if row["well_posed"]]

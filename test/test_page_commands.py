@@ -70,7 +70,7 @@ MAKE = {
     "safety ARGS='--rounds 0 --scripts 200 --seed 12'": "--scripts 5 --allowance 1.5",
     "population": "--count 1 --methods joint --jobs 1",
     "population ARGS='--seed 2'": "--count 1 --methods joint --jobs 1 --output old.json",
-    "population ARGS='--count 300 --seed 1'": "--count 1 --methods joint --jobs 1",
+    "population ARGS='--count 150 --seed 1'": "--count 1 --methods joint --jobs 1",
     "population ARGS='--only 17'": "--methods joint --jobs 1",
     "population ARGS='--page docs/population.md --jobs 2'": "--count 1 --methods joint --page page.md",
     "population ARGS='--against old.json'": "--seed 2 --count 1 --methods joint --jobs 1",

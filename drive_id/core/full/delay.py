@@ -29,6 +29,8 @@ _SMOOTHING_BOUND = 2.0
 """Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05
 """Largest distance of a delay from that which its cause has, such as a half or a whole sample, samples."""
+_CERTAIN, _HALF = 4.0, 0.5
+"""Standard errors within which another timing of a drive must not lie, and its distance, samples."""
 _EXACT = 0.02
 """The same of a delay as decimated logs have: by five, one of -0.4 samples was estimated as -0.456."""
 _LEAST_JUMP, _LEAST_SHARE = 0.2, 0.1
@@ -76,8 +78,8 @@ class Delay:
 
     @property
     def certain(self) -> bool:
-        """Whether no other half or whole number of samples is within four standard errors."""
-        return 4 * self.sigma < 0.5
+        """Whether no other half or whole number of samples is as likely."""
+        return _CERTAIN * self.sigma < _HALF
 
     @property
     def physical(self) -> bool:

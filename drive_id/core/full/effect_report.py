@@ -164,13 +164,10 @@ def _copper(found: _ReportedEffect) -> Iterator[Calibration]:
         change = x / reference
         told = {"change": change, "kelvin": change / COPPER}
         if found.name == "copper_heating":
-            winding = found.fit.selection.search.found.columns.winding
+            winding, key = found.fit.selection.search.found.columns.winding, "resistance_rise"
             if winding is not None and np.isfinite(winding.constant):
-                yield found.entry(
-                    "resistance_rise", x, dx, "ohm", "resistance_rise.settling", constant=winding.constant, **told
-                )
-            else:
-                yield found.entry("resistance_rise", x, dx, "ohm", **told)
+                key, told = f"{key}.settling", {**told, "constant": winding.constant}
+            yield found.entry("resistance_rise", x, dx, "ohm", key, **told)
         elif found.fit.met(found.name, k):
             yield found.entry(f"resistance_change_{k + 2}", x, dx, "ohm", "resistance_change", recording=k + 2, **told)
 

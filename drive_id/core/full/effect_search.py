@@ -17,7 +17,6 @@ from scipy import sparse
 from drive_id.core.full.delay import SPEEDS_APART, Delay, estimate_delay
 from drive_id.core.full.linearized import (
     DELAY,
-    OF_MISFIT,
     EffectSearch,
     Taken,
     first_columns,
@@ -63,6 +62,9 @@ _MOST_TURNED = 0.25
 _LARGEST_LAG = 0.2
 """Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
 _OF_LINK = ("link_ripple", "link_sag")
+_OF_MISFIT = 0.5
+"""Share of the squared residuals beyond noise that a variation of the DC link must explain: the misfit of a map recurs
+with the trajectory and the power, and a part of it looks like theirs."""
 _ALIKE = ({"current_latency", "angle_latency"},)
 """Effects of which the data hold one: if currents and angle are late by the same time, the voltages are early by it."""
 _LAGS = ("flux_lag", *(name for name in EFFECTS if name.startswith("flux_lag_")))
@@ -88,19 +90,51 @@ class _Set:
     members: frozenset[str]  # the names, and that of the delay, if it is not the usual one
 
 
+@dataclass(frozen=True, eq=False)
+class _Rules:
+    """What is searched, in which data."""
+
+    sums: WindowSums
+    plain: ModelSpec  # without effects
+    noise: CurrentNoise
+    allowed: tuple[str, ...]
+    turn: float  # electrical angle per sample, rad; 0: no delay is tried
+    one_speed: bool
+    least: float  # squared residuals that matter to nobody, and what the current does between samples, (Vs)^2
+
+    def without(self, name: str) -> _Rules:
+        """Return the rules of a search without an effect, or a delay."""
+        if name == DELAY:
+            return replace(self, turn=0.0)
+        return replace(self, allowed=tuple(other for other in self.allowed if other != name))
+
+    def variant(self, found: _Set) -> ModelSpec:
+        """Return the model with a set of effects."""
+        return replace(self.plain, effects=tuple(sorted(found.names)), delay=found.delay)
+
+    def solved(self, solver: Solver, found: _Set) -> FullSolution:
+        """Return the fit with a set of effects."""
+        return solver.solve(self.variant(found))
+
+    def search_about(self, state: EffectSearch) -> _Search:
+        """Return the sets about a linearization."""
+        explained = max(state.solution.rows, 1.0) * self.noise.explained(state.solver.model, state.solution)
+        return _Search(self, state.solver.reduced(self.plain), explained)
+
+
 @dataclass
 class _Search:
     """Sets of effects about one linearization."""
 
+    rules: _Rules
     reduced: Reduced
-    tried: tuple[str, ...]  # names
-    usual: float  # delay, samples, of a drive without one
-    free: bool  # whether a delay is tried
-    one_speed: bool
-    noise: CurrentNoise
-    explained: float  # squared residuals that it explains, (Vs)^2
-    least: float  # squared residuals that matter to nobody, and what the current does between samples, (Vs)^2
+    explained: float  # squared residuals that noise explains, (Vs)^2
     known: dict[frozenset[str], Subset] = field(default_factory=dict)
+
+    @property
+    def usual(self) -> float:
+        """Delay, samples, of a drive without one."""
+        return self.rules.plain.delay
 
     def subset(self, names: frozenset[str]) -> Subset:
         """Return a solved set."""
@@ -113,7 +147,7 @@ class _Search:
         squares, terms = self.subset(names).squares(delay), 0
         if delay != self.usual:
             terms = 1 if (2 * delay).is_integer() else 2
-        score = float(np.log(squares + self.least)) + _PRICE * terms + sum(map(_price, sorted(names)))
+        score = float(np.log(squares + self.rules.least)) + _PRICE * terms + sum(map(_price, sorted(names)))
         return _Set(names, delay, squares, score, names | {DELAY} if terms else names)
 
     def best(self, names: frozenset[str]) -> _Set | None:
@@ -123,7 +157,7 @@ class _Search:
 
     def _delays(self, names: frozenset[str]) -> Iterator[float]:
         yield self.usual
-        if self.free:
+        if self.rules.turn > 0:
             value = float(np.clip(best_delay(self.subset(names).left)[0], -MOST_DELAY, MOST_DELAY))
             yield from {value, *Delay(value).between} - {self.usual}
 
@@ -132,24 +166,24 @@ class _Search:
         if any(name in names and other not in names for name, other in _BESIDE.items()):
             return False
         members = names | {DELAY} if delay != self.usual else names
-        alike = (*_ALIKE, *_ALIKE_AT_ONE_SPEED) if self.one_speed else _ALIKE
+        alike = (*_ALIKE, *_ALIKE_AT_ONE_SPEED) if self.rules.one_speed else _ALIKE
         if any(len(each & members) > 1 for each in alike):
             return False
         found = self.subset(names)
-        if not all(_plausible(name, float(found.value(name, delay)[0]), self.noise) for name in names):
+        if not all(_plausible(name, float(found.value(name, delay)[0]), self.rules.noise) for name in names):
             return False
         return all(self._explains_misfit(names, name, delay) for name in names & {*_OF_LINK})
 
     def _explains_misfit(self, names: frozenset[str], name: str, delay: float) -> bool:
         before, after = (self.subset(each).squares(delay) for each in (names - {name}, names))
-        return before - after > OF_MISFIT * (before - self.explained)
+        return before - after > _OF_MISFIT * (before - self.explained)
 
     def run(self) -> _Set:
         """Return the set of the least score."""
         start = self.of(frozenset(), self.usual)
         found, beam = [self.best(start.names) or start], [start]
         for _ in range(_DEEP):
-            names = {each.names | {name} for each in beam for name in self.tried if name not in each.names}
+            names = {each.names | {name} for each in beam for name in self.rules.allowed if name not in each.names}
             sets = [each for each in map(self.best, names) if each is not None]
             beam = sorted(sets, key=lambda each: (each.score, sorted(each.names)))[:_WIDE]
             found += beam[:1]
@@ -170,7 +204,7 @@ class _Search:
         """
         rest = self.without(found, member)
         saved = rest.squares - found.squares
-        for name in (*self.tried, DELAY):
+        for name in (*self.rules.allowed, DELAY):
             if name in found.members or _family(name) == _family(member):
                 continue
             if name == DELAY:
@@ -180,39 +214,6 @@ class _Search:
             for other in sets:
                 if saved > 0 and self.allows(other.names, other.delay):
                     yield name, other, (rest.squares - other.squares) / saved
-
-
-@dataclass(frozen=True, eq=False)
-class _Rules:
-    """What is searched, in which data."""
-
-    sums: WindowSums
-    plain: ModelSpec  # without effects
-    noise: CurrentNoise
-    allowed: tuple[str, ...]
-    turn: float  # electrical angle per sample, rad; 0: no delay is tried
-    one_speed: bool
-    least: float
-
-    def without(self, name: str) -> _Rules:
-        """Return the rules of a search without an effect, or a delay."""
-        if name == DELAY:
-            return replace(self, turn=0.0)
-        return replace(self, allowed=tuple(other for other in self.allowed if other != name))
-
-    def search_about(self, state: EffectSearch) -> _Search:
-        """Return the sets about a linearization."""
-        explained = max(state.solution.rows, 1.0) * self.noise.explained(state.solver.model, state.solution)
-        return _Search(
-            reduced=state.solver.reduced(self.plain),
-            tried=self.allowed,
-            usual=self.plain.delay,
-            free=self.turn > 0,
-            one_speed=self.one_speed,
-            noise=self.noise,
-            explained=explained,
-            least=self.least,
-        )
 
 
 def search_effects(
@@ -247,8 +248,8 @@ def search_effects(
     )
     state, chosen, search = _about_its_best(first, first, rules)
     for number in count(1):
-        state, chosen = _among_rivals(sums, state, search, chosen, plain)
-        weak = _unconfirmed(state, search, chosen, plain)
+        state, chosen = _among_rivals(state, search, chosen)
+        weak = _unconfirmed(state, search, chosen)
         if weak is None:
             break
         rules = rules.without(weak)
@@ -272,7 +273,7 @@ def _about_its_best(state: EffectSearch, first: EffectSearch, rules: _Rules) -> 
         search = rules.search_about(state)
         best = search.run()
         if best.delay != plain.delay:
-            delay = estimate_delay(state.solver, _solved(state.solver, plain, replace(best, delay=0.0)), rules.noise)
+            delay = estimate_delay(state.solver, rules.solved(state.solver, replace(best, delay=0.0)), rules.noise)
             if not delay.significant(rules.turn):
                 rules = rules.without(DELAY)
                 search = rules.search_about(state)
@@ -287,21 +288,13 @@ def _about_its_best(state: EffectSearch, first: EffectSearch, rules: _Rules) -> 
         if not best.members:
             state = first
             continue
-        about = replace(state.found.columns, estimate=_solved(state.solver, plain, best).estimate)
-        state = settled(rules.sums, _variant(plain, best), about)
+        about = replace(state.found.columns, estimate=rules.solved(state.solver, best).estimate)
+        state = settled(rules.sums, rules.variant(best), about)
         state = with_hidden_ripple(rules.sums, state, rules.noise)
         state = replace(state, found=replace(state.found, delay=delay))
     if not chosen.members:
         state = first
     return state, chosen, search
-
-
-def _variant(plain: ModelSpec, found: _Set) -> ModelSpec:
-    return replace(plain, effects=tuple(sorted(found.names)), delay=found.delay)
-
-
-def _solved(solver: Solver, plain: ModelSpec, found: _Set) -> FullSolution:
-    return solver.solve(_variant(plain, found))
 
 
 def _taken(search: _Search, chosen: _Set, significant: Callable[[float], bool]) -> Iterator[Taken]:
@@ -319,9 +312,7 @@ def _taken(search: _Search, chosen: _Set, significant: Callable[[float], bool]) 
         yield Taken(member, tuple(sorted(rivals)))
 
 
-def _among_rivals(
-    sums: WindowSums, state: EffectSearch, search: _Search, chosen: _Set, plain: ModelSpec
-) -> tuple[EffectSearch, _Set]:
+def _among_rivals(state: EffectSearch, search: _Search, chosen: _Set) -> tuple[EffectSearch, _Set]:
     """Linearize about sets with another effect that turns the flux, too, and return what predicts data left out best.
 
     Only where such an effect moves currents by more than the map bends over, so that the columns about another set tell
@@ -335,23 +326,24 @@ def _among_rivals(
         for name, other, share in search.exchanged(chosen, member)
         if name in _TURNING and share > _RIVAL
     ]
-    about = {
-        each: replace(state.found.columns, estimate=_solved(state.solver, plain, each).estimate) for each in others
-    }
+    rules, sums = search.rules, search.rules.sums
+    about = {each: replace(state.found.columns, estimate=rules.solved(state.solver, each).estimate) for each in others}
     kept = sums.kept()
-    if not any(columns.bends(_variant(plain, each), kept) for each, columns in about.items()):
+    if not any(columns.bends(rules.variant(each), kept) for each, columns in about.items()):
         return state, chosen
-    states = {chosen: state} | {each: settled(sums, _variant(plain, each), about[each]) for each in others}
+    states = {chosen: state} | {each: settled(sums, rules.variant(each), about[each]) for each in others}
     errors = {each: one.solver.left_out(one.solution.spec)[:, 0] for each, one in states.items()}
     best = min(errors, key=lambda each: float(errors[each][predictable(errors[each])].mean()))
     return states[best], best
 
 
-def _unconfirmed(state: EffectSearch, search: _Search, chosen: _Set, plain: ModelSpec) -> str | None:
+def _unconfirmed(state: EffectSearch, search: _Search, chosen: _Set) -> str | None:
     """Return the member of a set that data left out, or data alone, confirm least; None if all are confirmed."""
     if not chosen.members:
         return None
-    smooth = state.solver.reduced(replace(plain, penalty=PENALTIES[-1])).subset(chosen.names)
+    plain = search.rules.plain
+    if chosen.names:
+        smooth = state.solver.reduced(replace(plain, penalty=PENALTIES[-1])).subset(chosen.names)
     for name in sorted(chosen.names):
         own, rough = state.solver.model.effect(name), search.subset(chosen.names).value(name, chosen.delay)
         change = smooth.value(name, chosen.delay) - rough

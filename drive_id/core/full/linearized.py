@@ -20,11 +20,9 @@ from drive_id.types import TINY
 DELAY = "voltage_delay"
 _LEAST_VOLTAGE = 5e-5
 """Rms of a remainder that matters, relative to that of the integrated voltages."""
-OF_MISFIT = 0.5
-"""Share of the squared residuals beyond noise that a variation of the DC link must explain: the misfit of a map recurs
-with the trajectory and the power, and a part of it looks like theirs."""
 _TRIED = 0.1
-"""The same of a ripple beside other effects, to be tried at all: they may stand for it."""
+"""Share of the squared residuals beyond noise that a ripple beside other effects must explain to be tried: they may
+stand for a part of it."""
 _GROWN = 1.03
 """Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
 _SETTLING, _SETTLED = 5, 0.01

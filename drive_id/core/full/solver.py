@@ -137,6 +137,7 @@ class Solver:
         every = None if effects is None else effects.sum(axis=0)
         self.total = with_products(unpacked(total, model.summed.size), every, model)
         self._normals: dict[ModelSpec, _Normal] = {}
+        self._reduced: dict[ModelSpec, Reduced] = {}
 
     @classmethod
     def over(cls, sums: WindowSums) -> Solver:
@@ -210,8 +211,7 @@ class Solver:
         in_map = np.asarray(abs(known.t[self.model.summed.map]).sum(axis=0)).ravel() > 0
 
         def errors(number: int) -> list[float]:
-            effects = None if self._effects is None else self._effects[number]
-            fold = with_products(unpacked(self._folds[number], len(voltage)), effects, self.model)
+            fold = self._fold(number)
             own, product = congruent(known.t, fold), times(fold, voltage)
             del fold
             own_moment, square = known.t.T @ product, voltage @ product
@@ -289,11 +289,13 @@ class Solver:
 
     def reduced(self, spec: ModelSpec, without: int | None = None) -> Reduced:
         """Eliminate the unknowns of a variant, but for its effects and its delay, over all folds or without one."""
-        known = self._normal(replace(spec, effects=(), delay=0.0))
+        spec = replace(spec, effects=(), delay=0.0)
+        if without is None and spec in self._reduced:
+            return self._reduced[spec]
+        known = self._normal(spec)
         total, normal = self.total, known.normal
         if without is not None:
-            effects = None if self._effects is None else self._effects[without]
-            fold = with_products(unpacked(self._folds[without], self.model.summed.size), effects, self.model)
+            fold = self._fold(without)
             normal = normal - congruent(known.t, fold)
             total = np.subtract(total, fold, out=fold)
         columns = Reduced.columns(self.model)
@@ -303,7 +305,15 @@ class Solver:
         half = linalg.solve_triangular(factor, moment / scale[:, None], lower=True, check_finite=False)
         form = right[columns] - half.T @ half
         back = linalg.solve_triangular(factor, half, lower=True, trans="T", check_finite=False) / scale[:, None]
-        return Reduced(self.model, form, back, known.t)
+        reduced = Reduced(self.model, form, back, known.t)
+        if without is None:
+            self._reduced[spec] = reduced
+        return reduced
+
+    def _fold(self, number: int) -> FloatArray:
+        """Return Z'Z (summed.size, summed.size) of a fold."""
+        effects = None if self._effects is None else self._effects[number]
+        return with_products(unpacked(self._folds[number], self.model.summed.size), effects, self.model)
 
     def _left(self, solution: FullSolution, columns: IntArray) -> FloatArray:
         """Return the cross products of columns after projecting out the unknowns of a solution."""

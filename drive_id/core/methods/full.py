@@ -57,7 +57,6 @@ _LARGE_MISMATCH = 0.01  # of gains, for a warning
 _LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy="passive_maps", impossible=True)
 _FEW_COVERED = 0.5  # share of the disc with data below which more of it helps most
 _WHOLE_DISC = 0.02  # share of the disc without data up to which it is whole
-_HARMLESS = "harmless_misfit"
 _INNER = 0.9  # of its radius, where the disc has no hole if it is whole: at the rim, noise makes some
 
 
@@ -92,7 +91,12 @@ class FullMethod:
         frame = TrueFrame(fit, offset, relative=locked)
         psi = frame.flux(grid)
         sigma = _sigma(frame, grid, inside)
-        warnings = (*_on_map(evidence, fit, psi, sigma, inside), *_on_calibration(evidence, fit, found))
+        told = [said for said in (misfit_found(fit), unseen_warning(fit)) if said is not None]
+        warnings = (
+            *(said for said in told if said.kind == "warning"),
+            *_on_map(evidence, fit, psi, sigma, inside),
+            *_on_calibration(evidence, fit, found),
+        )
         earlier, scaled = EarlierFit.of(fit), calibration.by_common_gain(fit, found, grid[inside], _LARGE_MISMATCH)
         if scaled.any():
             changes = np.column_stack([scaled, fit.assessment.changes])
@@ -133,7 +137,11 @@ class FullMethod:
             harmonics=tuple((order, *frame.harmonic(order, grid)) for order in fit.spec.orders),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
-            statements=(*_statements(evidence, fit, inside, found), *_on_effort(fit, information)),
+            statements=(
+                *(said for said in told if said.kind != "warning"),
+                *_statements(evidence, fit, inside, found),
+                *_on_effort(fit, information),
+            ),
             fit=earlier,
             error_modes=_error_modes(frame, grid, inside, sigma, current, deviation),
         )
@@ -330,8 +338,6 @@ def _on_map(
     locked = _locked(evidence)
     if locked:
         yield Message("locked_rotor", angle=_position(fit.selection.search.sums.kept())[0])
-    misfit = misfit_found(fit)
-    yield from (said for said in (misfit, unseen_warning(fit)) if said is not None and said.code != _HARMLESS)
     share = SHORT_ANGLE / WINDOW_ANGLE if fit.crossings > 1 else 1.0
     # Windows that end sooner do so because the current changes fast, which tells flux and voltage errors apart, too.
     turn, duration = fit.assessment.turn, fit.assessment.duration
@@ -375,9 +381,6 @@ def _statements(
     yield Message(f"separation{by}", share=relative)
     yield Message("linear_drop")
     yield Message("common_gain")
-    misfit = misfit_found(fit)
-    if misfit is not None and misfit.code == _HARMLESS:
-        yield misfit
     if fit.spec.lag:
         yield Message("compensation_lags")
     if fit.crossings > 1:

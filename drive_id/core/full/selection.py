@@ -56,6 +56,9 @@ _FREE_TURN = np.deg2rad(3.0)
 """Electrical angle per sample above which free maps are not tried: what the current does between samples is known to
 second order only, and what remains is not reciprocal. Of 224 random drives, free maps won in 14 with reciprocal
 machines, 12 of them faster than this, and in 5 with others, 4 of them slower, where they gained 0.03 to 0.06 %."""
+_PROMISING = 0.3
+"""Share of the squared residuals that free maps must save over cells of the usual size to be tried over fine ones: 0.09
+and 0.25 on reciprocal machines whose details those miss, 0.39 where 0.1 % of the flux is not reciprocal."""
 _MOST_LEFT = 0.5
 """Share of the squared residuals that a provisional delay may leave: hard dead time resembles one, but leaves more."""
 _MISFIT_WINDOWS = 6000
@@ -113,7 +116,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         solver = Solver.over(sums)
         start = _aligned(sums, solver, settings, turn, noise)
     start = _undelayed(solver, start, settings)
-    del solver  # its matrices are large
+    del solver
     candidate = _candidate(sums, start, settings, turn, noise)
     known = sums.model.orders
     for _ in range(_SEARCHES if settings.search_orders else 0):
@@ -125,6 +128,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
             break
         sums = sums.over(replace(sums.model, orders=(*solution.spec.orders, *new)[:MOST_ORDERS]))
         known = (*known, *new)
+        del candidate, found, solution  # their matrices are large
         solver = Solver.over(sums)
         start = _undelayed(solver, _aligned(sums, solver, settings, turn, noise), settings)
         del solver
@@ -335,6 +339,8 @@ def _with_free_maps(
     if not (settings.maps == "auto" and _may_be_free(spec, turn) and _shows(search.solver, error)):
         return Selection(search.solution, search)
     free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
+    if search.sums.model.resolution.finer_than_usual and not _promise(search.sums, spec, free):
+        return Selection(search.solution, search)
     freed = search.sums.freed(spec.orders)
     solver = Solver.over(freed)
     if freed.windows != sums.windows:
@@ -357,6 +363,19 @@ def _with_free_maps(
     significant = _significant_orders(freed.model, everything, noise.windows.i_dq[:, 0])
     spec = search.solver.best_penalty(replace(everything.spec, orders=significant))[0]
     return Selection(search.solver.solve(spec), search, advantage)
+
+
+def _promise(sums: WindowSums, spec: ModelSpec, free: ModelSpec) -> bool:
+    """Tell whether free maps leave clearly less over cells of the usual size.
+
+    What is not reciprocal is no finer than what is, and free maps over fine cells take most of a fit's time and memory.
+    """
+    usual = sums.over(replace(sums.model, cells=None))
+    left, by_free = (
+        Solver.over(each).solve(replace(own, penalty=PENALTIES[0]))
+        for each, own in ((usual, spec), (usual.freed(spec.orders), free))
+    )
+    return by_free.sum_of_squares < (1.0 - _PROMISING) * left.sum_of_squares
 
 
 def _may_be_free(spec: ModelSpec, turn: float) -> bool:
@@ -463,12 +482,12 @@ def compensates(model: FullModel, solution: FullSolution) -> bool:
 
 
 def _advantage(solver: Solver, spec: ModelSpec, error: FloatArray) -> float:
-    """Return by which share a variant reduces the squared errors (F,) on data left out; NaN unless it does clearly.
+    """Return by which share free maps reduce the squared errors (F,) on data left out; NaN unless they do clearly.
 
     Stops early when the first two folds show no gain.
     """
-    found = solver.left_out_if_less(spec, error)
-    if found is None or not _clearly_better(solver, error, other := found[:, 0]):
+    found = solver.better_penalty(spec, error)
+    if found is None or not _clearly_better(solver, error, other := found[1]):
         return np.nan
     folds = predictable(error)
     return 1.0 - float(other[folds].sum() / error[folds].sum())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -28,13 +28,30 @@ def congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
         return _product(t, matrix)
     first = np.minimum(by_column.indptr[:-1], by_column.nnz - 1)
     row, weight = by_column.indices[first], by_column.data[first]
-    out = matrix.take(row, axis=0).take(row, axis=1)
+    out = selected(matrix, row, row)
     if np.any(weight != 1.0):
         out *= weight[:, None]
         out *= weight
     across = t.T @ np.ascontiguousarray((t[:, others].T @ matrix).T)
     out[:, others], out[others] = across, across.T
     return np.asarray(out)
+
+
+def selected(matrix: FloatArray, rows: IntArray, columns: IntArray) -> FloatArray:
+    """Return the rows and columns of a matrix by their numbers, copied run by run of adjacent ones: most are."""
+    out = np.empty((len(rows), len(columns)))
+    of_columns = list(_runs(columns))
+    for own, source in _runs(rows):
+        for other, across in of_columns:
+            out[own, other] = matrix[source, across]
+    return out
+
+
+def _runs(numbers: IntArray) -> Iterator[tuple[slice, slice]]:
+    """Yield the places of each run of adjacent numbers, and the numbers."""
+    edges = np.flatnonzero(np.diff(numbers, prepend=-2, append=-2) != 1).tolist()
+    for start, end in pairwise(edges):
+        yield slice(start, end), slice(int(numbers[start]), int(numbers[start]) + end - start)
 
 
 def _product(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
@@ -97,14 +114,14 @@ def penalized(
     """
     outer, (first, last) = np.flatnonzero(~in_map), np.flatnonzero(in_map)[[0, -1]]
     inner = slice(first, last + 1)
-    factor, scale = factorize(normal.take(outer, axis=0).take(outer, axis=1), penalties[0][outer][:, outer])
+    factor, scale = factorize(selected(normal, outer, outer), penalties[0][outer][:, outer])
 
     def halved(rows: FloatArray) -> FloatArray:
         """Return L^-1 b for b (K, len(outer))', in the order of LAPACK, so that nothing is copied."""
         scaled = (rows / scale).T
         return np.asarray(linalg.solve_triangular(factor, scaled, lower=True, overwrite_b=True, check_finite=False))
 
-    across, known = halved(normal[inner].take(outer, axis=1)), halved(moment[outer])
+    across, known = halved(selected(normal, np.arange(first, last + 1), outer)), halved(moment[outer])
     schur, reduced = normal[inner, inner], moment[inner] - across.T @ known
     schur -= across.T @ across
     estimates = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from synthetic import record
@@ -74,6 +76,17 @@ def test_fine_cells_are_used_where_they_are_needed(detailed, fine, monkeypatch):
     assert not usual.model.resolution.finer_than_usual
     assert error(fine, detailed_flux) < 0.5 * error(usual, detailed_flux)
     assert fine.solution.residual_rms < 0.7 * usual.solution.residual_rms
+
+
+@pytest.mark.accuracy
+def test_free_maps_over_fine_cells_are_tried_where_usual_ones_promise_a_gain(fine):
+    def whirling(i_dq):
+        return detailed_flux(i_dq) + 3.0 * (whirling_flux(i_dq) - smooth_flux(i_dq))
+
+    for fit, promising in ((fine, False), (fitted(gathered(whirling)), True)):
+        assert fit.model.resolution.finer_than_usual
+        free = replace(fit.spec, reciprocal=False)
+        assert selection._promise(fit.selection.search.sums, fit.spec, free) == promising
 
 
 @pytest.mark.accuracy

@@ -83,6 +83,8 @@ def blamed(warning: Row) -> set[str]:
     code, values = warning["code"], warning["values"]
     if values.get("causes"):
         return named(*(effect.partition(" ")[0] for effect in values["causes"].split(",")))
+    if "every" in values:  # a delay, told as that of a decimated log
+        return named("decimated")
     if code == "misfit":
         code += ".time" if "time" in values else ".small_currents" if "low" in values else ""
     return named(code)
@@ -261,7 +263,7 @@ def judged(row: Row, method: str) -> set[str]:
         out |= {"silent R"} if abs(fit["R_z"]) > 3 and abs(fit["R"]) > 1 else set()
     if not row["effects"] and flux < 0.2 and any(not _true(warning, causes) for warning in fit["warnings"]):
         out.add("false warning")
-    told = set[str]().union(*map(blamed, fit["warnings"]))
+    told = set[str]().union(*(blamed(warning) for warning in fit["warnings"] if warning["code"] not in _WEAK))
     if told and not told & causes:
         out.add("wrong cause")
     if named(*fit["corrected"]) - causes - {"gains", "offsets", "angle", "timing"}:

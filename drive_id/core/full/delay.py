@@ -74,7 +74,7 @@ class Delay:
     @property
     def tolerance(self) -> float:
         """Samples within which it is one of half or whole samples, unless a decimated log has such a delay."""
-        return _EXACT if self.decimation else max(_PHYSICAL, _SIGNIFICANCE * self.sigma)
+        return _EXACT if self.decimation else math.hypot(_PHYSICAL, _SIGNIFICANCE * self.sigma)
 
     @property
     def certain(self) -> bool:

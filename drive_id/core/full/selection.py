@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
-from drive_id.core.full.delay import estimate_delay
+from drive_id.core.full.delay import Delay
 from drive_id.core.full.effect_search import (
     LEAST_BESIDE,
     effect_savings,
@@ -103,7 +103,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     if settings.maps == "free":
         sums = sums.freed(sums.model.orders)
     crossings, solver = np.nan, Solver.over(sums)
-    start = _aligned(sums, solver, settings, turn, noise)
+    start = _aligned(sums, solver, settings, turn)
     bounded = noise.at_most(solver, start)  # fast currents look like noise to their differences
     sums, solver, start = _resolved(sums, solver, start, bounded)
     # without a motion of the rotor, only windows near zero current tie the map to its value there
@@ -114,7 +114,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         sums, crossings = between
         noise = CurrentNoise.met(noise.variance, sums.kept(), noise.angle_variance)
         solver = Solver.over(sums)
-        start = _aligned(sums, solver, settings, turn, noise)
+        start = _aligned(sums, solver, settings, turn)
     start = _undelayed(solver, start, settings)
     del solver
     candidate = _candidate(sums, start, settings, turn, noise)
@@ -130,7 +130,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         known = (*known, *new)
         del candidate, found, solution  # their matrices are large
         solver = Solver.over(sums)
-        start = _undelayed(solver, _aligned(sums, solver, settings, turn, noise), settings)
+        start = _undelayed(solver, _aligned(sums, solver, settings, turn), settings)
         del solver
         candidate = _candidate(sums, start, settings, turn, noise)
     if candidate.search.found.taken:  # what they explain may have hidden where the cells are too coarse
@@ -383,7 +383,7 @@ def _may_be_free(spec: ModelSpec, turn: float) -> bool:
     return turn < _FREE_TURN and abs(spec.delay) < MOST_DELAY
 
 
-def _aligned(sums: WindowSums, solver: Solver, settings: FitSettings, turn: float, noise: CurrentNoise) -> FullSolution:
+def _aligned(sums: WindowSums, solver: Solver, settings: FitSettings, turn: float) -> FullSolution:
     """Solve with a provisional delay of half or whole samples, where there is one.
 
     Voltages that are a sample off miss the steps of the drop, which looks like a compensation, like hard dead time, and
@@ -393,11 +393,9 @@ def _aligned(sums: WindowSums, solver: Solver, settings: FitSettings, turn: floa
     solution = _compensated(solver, spec)
     if settings.calibrate_delay and abs(solver.delay(solution)[0]) > 0.25:  # nearer to half a sample than to none
         plain = solver.solve(spec)
-        delay = estimate_delay(solver, plain, noise)
-        if delay.physical and delay.significant(turn):
-            delayed = replace(spec, delay=delay.nearest)
-            if solver.solve(delayed).sum_of_squares < _MOST_LEFT * plain.sum_of_squares:
-                return _compensated(solver, delayed)
+        delayed = replace(spec, delay=Delay(solver.delay(plain)[0]).nearest)
+        if solver.solve(delayed).sum_of_squares < _MOST_LEFT * plain.sum_of_squares:
+            return _compensated(solver, delayed)
     return solution
 
 

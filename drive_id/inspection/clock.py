@@ -53,6 +53,32 @@ def stamped(table: Table, name: str, tick: float) -> Table:
     return replace(table, stamp=Restarts().continued(stamp), stamp_source=name)
 
 
+def together(tables: list[Table]) -> list[Table]:
+    """Return tables whose own time columns give their stamps with stamps from the first of them all.
+
+    Their clocks are one where they begin within the span of the longest; others each begin at zero.
+    """
+    began = [_began(table) for table in tables]
+    base = min((first for first in began if first is not None), default=0)
+    span = max((int(table.stamp[-1] - table.stamp[0]) for table in tables if len(table.stamp)), default=0)
+    if any(first is not None and first - base > span for first in began):
+        return tables
+    return [
+        table if first is None else replace(table, stamp=table.stamp + (first - base))
+        for table, first in zip(tables, began, strict=True)
+    ]
+
+
+def _began(table: Table) -> int | None:
+    """Return the time, ns, of the first row by the column that gives the stamps; None without one."""
+    found = time_column(table) if table.stamp_source in table.columns else None
+    if found is None or found[0] != table.stamp_source:
+        return None
+    both = seconds_columns(found[0], table.columns)
+    first = float(table.columns[both[0] if both else found[0]][0]) * STAMP_UNITS[found[1]]
+    return round(first) + (round(float(table.columns[both[1]][0])) if both else 0)
+
+
 def numbered(table: Table) -> Table:
     """Return a table without a time column with stamps from row numbers, at a guessed rate."""
     rows = len(next(iter(table.columns.values()), ()))

@@ -207,10 +207,11 @@ class _DraftText:
         if self._link is None:
             self._unsure.append(
                 f"{', '.join(u.group.names)} are duty cycles from {range_}, and no DC-link voltage is in the log: set "
-                f"scale of the voltages to that voltage over {full:g} (written for {_ASSUMED_LINK:g} V); R and flux "
-                "are proportional to it."
+                f"scale of the voltages to that voltage{f' over {full:g}' if full != 1.0 else ''} (written for "
+                f"{_ASSUMED_LINK:g} V); R and flux are proportional to it."
             )
-            return f"  scale: {_ASSUMED_LINK / full:g}  # EDIT: U_dc/{full:g}, V, for duty cycles from {range_}"
+            wanted = "U_dc" if full == 1.0 else f"U_dc/{full:g}"
+            return f"  scale: {_ASSUMED_LINK / full:g}  # EDIT: {wanted}, V, for duty cycles from {range_}"
         table, name = self._link
         if not is_named_link(table, name):
             self._unsure.append(f"{name} was taken for the DC-link voltage by its values, not by its name.")

@@ -30,6 +30,8 @@ _REGULAR = 1e-3
 _ONWARD = 0.9  # share of the steps of a time that do not run back
 _MOST_PER_STAMP = 0.02
 """Share of all rows that may share one printed time: fewer digits tell no period."""
+_DATES = (1e18, 3e18)
+"""Nanoseconds since 1970 from 2001 to 2065, as dates are read: no other quantity of a log is as large."""
 _MEANINGS = ("angle", "speed", "current", "voltage", "reference")
 
 
@@ -107,6 +109,10 @@ def time_column(table: Table) -> tuple[str, str] | None:
             fits = float(np.ptp(x)) * STAMP_UNITS[unit] < _LONGEST
             if fits and PERIODS[0] <= period * STAMP_UNITS[unit] * 1e-9 <= PERIODS[1]:
                 return name, unit
+    for name, x in table.columns.items():
+        dates = len(x) >= FEWEST and _DATES[0] < np.min(x) and np.max(x) < _DATES[1]
+        if dates and PERIODS[0] <= _mean_step(x) * 1e-9 <= PERIODS[1]:
+            return name, "ns"  # whatever the name
     name, x = next(iter(table.columns.items()), ("", np.zeros(0)))
     steps = np.diff(x)
     regular = len(x) >= FEWEST and np.isfinite(x).all() and steps.min() > 0 and np.ptp(steps) < _REGULAR * steps.mean()

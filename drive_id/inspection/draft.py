@@ -39,6 +39,8 @@ _COARSE = 1e-3
 """Electrical angle of one count, rad, from which the angle is smoothed."""
 _SMOOTHING = 0.003
 """Time over which it is smoothed, s: short beside the acceleration of a shaft."""
+_GAP = 1.5
+"""Median steps of the stamps, from which on samples are missing between."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +144,8 @@ class _DraftText:
             if table.block > 1:
                 found.append(f"  sample_period: {_nice(period)}")
         elif period is not None:
-            usual = float(np.median(np.diff(table.stamp))) * 1e-9
+            steps = np.diff(table.stamp)
+            usual = float(np.mean(steps[np.abs(steps) < _GAP * np.median(steps)])) * 1e-9  # dates are whole 256 ns here
             found.append(f"  sample_period: {_nice(usual if abs(usual / period - 1) > 1e-3 else period)}")
         return [*found, *lines]
 

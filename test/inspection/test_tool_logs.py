@@ -131,6 +131,14 @@ TOOLS = {  # writer, sample period, s, and missing samples
             p / "a.txt", {n: np.delete(x, np.r_[1000:1007, 3000:3090, 5000]) for n, x in c.items()}, "\t"
         ), 1e-4, 98,
     ),
+    "ISO dates": (lambda p, c: tool_logs.dated(p / "a.csv", c, "timestamp", "%Y-%m-%dT%H:%M:%S.%fZ", ","), 1e-4, 0),
+    "ISO dates of another name at 4 kHz": (
+        lambda p, c: tool_logs.dated(p / "a.csv", stretched(c, 2.5e-4), "Datum", "%Y-%m-%d %H:%M:%S.%f", ","),
+        2.5e-4, 0,
+    ),
+    "dates with points of no known name": (
+        lambda p, c: tool_logs.dated(p / "a.csv", stretched(c, 5e-5), "col0", "%d.%m.%Y %H:%M:%S.%f", ";"), 5e-5, 0,
+    ),
     "units in brackets, blank line, tabs": (
         lambda p, c: tool_logs.unit_row(p / "a.txt", c, [f"[{u}]" for u in ("s", *"AAAVVV", "rad")], "\t", comma=True),
         1e-4, 0,

@@ -35,6 +35,15 @@ def csv(path: Path, columns: Columns, separator: str = ",", **how: object) -> Pa
     return path
 
 
+def dated(path: Path, columns: Columns, name: str, form: str, separator: str) -> Path:
+    """Write dates for the times, in a column of this name."""
+    times = np.datetime64("2026-01-02T12:54:58.123456", "us") + np.rint(columns["t"] * 1e6).astype("timedelta64[us]")
+    rows = table({key: x for key, x in columns.items() if key != "t"}, separator).splitlines()
+    lines = [f"{time:{form}}{separator}{row}" for time, row in zip(times.tolist(), rows, strict=True)]
+    path.write_text("\n".join([separator.join([name, *list(columns)[1:]]), *lines]) + "\n")
+    return path
+
+
 def unit_row(path: Path, columns: Columns, units: list[str], separator: str, *, comma: bool) -> Path:
     """Write names, a row of units, and a blank line before the rows."""
     head = separator.join(columns) + "\n" + separator.join(units) + "\n\n"

@@ -153,7 +153,7 @@ def _resident() -> float:
     return float(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
 
 
-def judged(ran: Ran, case: Case, folder: Path, given: Collection[str], good: Path | None) -> tuple[str, str]:
+def judged(ran: Ran, case: Case, folder: Path, good: Path | None, given: Collection[str] = ()) -> tuple[str, str]:
     """Return the outcome that is a finding, and what was said; empty texts for a good end.
 
     ``given`` names what was in the folder before.
@@ -257,7 +257,7 @@ class Worker:
         ran = run(case.arguments, folder, case.limit)
         if show:
             print(case, f"exit code {ran.code}, {ran.processor:.2f} s, {ran.memory * 1e-6:.0f} MB", ran.err, sep="\n")
-        outcome, said = judged(ran, case, folder, given, good)
+        outcome, said = judged(ran, case, folder, good, given)
         if not outcome:
             return None
         repeat = f"python benchmarks/fuzz.py --replay {kind}:{number}"

@@ -53,8 +53,9 @@ SIGMAS, SHARE = 4.0, 0.01
 KINDS = BAG_KINDS | LOG_KINDS | LIMIT_KINDS
 _READY = ".ready"
 """File that says that the program begins, and may be interrupted."""
-_MAKING = ("fit", "import", "convert", "simulate", "recover")
-"""Commands of which nothing may be left under the output's name when they fail."""
+_OURS = frozenset({".out.txt", ".err.txt", _READY})
+_COMPILING = "drive_id: compiling for this computer, "
+"""How a line begins that is told beside any outcome, where machine code is not cached yet."""
 OUTCOMES = ("crash", "hang", "traceback", "over time", "over memory", "not one sentence", "left behind", "wrong map")
 
 
@@ -136,6 +137,7 @@ def _child(arguments: tuple[str, ...], folder: Path, limit: Limit) -> None:
             app.main()
         except SystemExit as end:
             code = end.code if isinstance(end.code, int) else 1
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # as when the interpreter ends
         sys.stdout.flush()
         sys.stderr.flush()
     except BaseException:  # noqa: BLE001  # whatever it is, it is a finding
@@ -151,11 +153,15 @@ def _resident() -> float:
     return float(int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE"))
 
 
-def judged(ran: Ran, case: Case, folder: Path, good: Path | None) -> tuple[str, str]:
-    """Return the outcome that is a finding, and what was said; empty texts for a good end."""
+def judged(ran: Ran, case: Case, folder: Path, good: Path | None, given: Collection[str] = ()) -> tuple[str, str]:
+    """Return the outcome that is a finding, and what was said; empty texts for a good end.
+
+    ``given`` names what was in the folder before.
+    """
     said = (ran.err or ran.out).strip()[-600:]
-    lines = ran.err.strip().splitlines()
+    lines = [line for line in ran.err.strip().splitlines() if not line.startswith(_COMPILING)]
     sentence = len(lines) == 1 and lines[0].startswith("drive-id: ") and lines[0].endswith(".")
+    left = {path.name for path in folder.iterdir()} - _OURS - set(given)  # under whatever name
     wrong = _differs(folder / "out", good) if ran.code == 0 and good else ""
     checks = {
         "hang": ran.hung,
@@ -166,9 +172,7 @@ def judged(ran: Ran, case: Case, folder: Path, good: Path | None) -> tuple[str, 
         "not one sentence": ran.code in (1, 130) and not sentence,
         "left behind": ran.code in (1, 130)
         and case.limit.name != "full_output"  # of which the result is whole, and cannot be shown
-        and "is complete, but without pictures" not in said
-        and case.arguments[0] in _MAKING
-        and (folder / "out").exists(),
+        and bool(left) != (" is complete" in said),
         "wrong map": bool(wrong),
     }
     found = next((outcome for outcome, holds in checks.items() if holds), "")
@@ -249,10 +253,11 @@ class Worker:
             rng = random.Random(f"{kind}:{number}")
             case = Case(kind, number, *KINDS[kind](self._corpus, folder, rng))
         good = self._good(*case.compare.split()) if case.compare else None
+        given = {path.name for path in folder.iterdir()}
         ran = run(case.arguments, folder, case.limit)
         if show:
             print(case, f"exit code {ran.code}, {ran.processor:.2f} s, {ran.memory * 1e-6:.0f} MB", ran.err, sep="\n")
-        outcome, said = judged(ran, case, folder, good)
+        outcome, said = judged(ran, case, folder, good, given)
         if not outcome:
             return None
         repeat = f"python benchmarks/fuzz.py --replay {kind}:{number}"

@@ -47,6 +47,8 @@ OWNED = 0.6
 """Time after a run in which a drive surely belongs to its publisher, s: its second, less what it takes to intrude."""
 _HEARD = 20.0
 """Time within which the node identification hears of another drive, s, however busy the computer."""
+_FOUND = 10.0
+"""Time within which a drive and its listeners find each other, s, however busy the computer; told once a second."""
 _ATTEMPTS = 4
 _REPLAYS = 10
 _START, _CATCH_UP, _BEHIND = 90.0, 5.0, 0.1
@@ -135,12 +137,14 @@ class Cell:
         self._zeros: dict[int, float] = {}
         """When a drive had no samples, s of the monotonic clock, by the count of its next one: two may publish."""
         self._frozen = False
+        self._listeners: dict[str, int] = {}
+        """Subscriptions that receive the currents of a drive, by the drive's name, as it said last."""
         self.rivals: list[Any] = []
         node = graph.node
         node.create_subscription(PhaseCurrents, "/phase_currents", self._on_currents, STREAM)
         node.create_subscription(DriveStatus, "/drive_status", self._on_status, STREAM)
         node.create_subscription(PublisherState, f"/{PUBLISHER}/state", self._on_state, LATCHED)
-        node.create_subscription(DiagnosticArray, "/diagnostics", lambda _: None, 10)
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.estop = node.create_publisher(Bool, "/emergency_stop", LATCHED)
         self.heartbeat = node.create_publisher(Empty, f"/{PUBLISHER}/heartbeat", 1)
         node.create_timer(0.2, lambda: self.leased and self.heartbeat.publish(Empty()))
@@ -201,6 +205,12 @@ class Cell:
 
     def _on_state(self, message: PublisherState) -> None:
         self.state, self.reason = message.state, message.reason
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            for value in status.values:
+                if value.key == "/phase_currents: listeners":
+                    self._listeners[status.name] = int(value.value)
 
     def set(self, node: str, **values: Any) -> bool:
         """Set parameters of a node."""
@@ -347,10 +357,16 @@ class Cell:
         self.start_drive()
 
     def double(self) -> None:
-        """Start a second drive on the same topics, and wait for its first block: on a busy computer it is late."""
+        """Start a second drive on the same topics, and wait until everybody receives its blocks.
+
+        On a busy computer, its messages reach this process first, and the publisher up to 2.5 s later: nothing of its
+        own can tell the publisher of that drive before.
+        """
         before = self.heard
+        self._listeners.clear()
         self.start_drive("spm", RIVAL)
-        self.graph.wait(lambda: self.heard > before, 5.0)
+        everybody = self.graph.node.count_subscribers("/phase_currents")
+        self.graph.wait(lambda: self.heard > before and self._listeners.get(f"/{RIVAL}", 0) >= everybody, _FOUND)
 
     def un_double(self) -> None:
         """End it."""

@@ -29,6 +29,7 @@ def fuzz(monkeypatch):
         ({}, ""),
         ({"code": 1, "err": "drive-id: It is none: give another.\n"}, ""),
         ({"code": 1, "err": "drive-id: It is none: give another.\nAnd more.\n"}, "not one sentence"),
+        ({"code": 1, "err": "drive_id: compiling for this computer, once.\ndrive-id: None: give one.\n"}, ""),
         ({"code": 1, "err": ""}, "not one sentence"),
         ({"code": 1, "err": "drive-id: No end"}, "not one sentence"),
         ({"code": 70, "err": "Traceback (most recent call last):\n"}, "traceback"),
@@ -42,6 +43,24 @@ def test_ends_are_judged(fuzz, tmp_path, ran, outcome):
     usual = {"code": 0, "out": "", "err": "", "processor": 1.0, "memory": 1e6}
     case = fuzz.Case("mcap", 1, "", ("fit", "x"))
     assert fuzz.judged(fuzz.Ran(**usual | ran), case, tmp_path, None)[0] == outcome
+
+
+@pytest.mark.parametrize(
+    ("said", "names", "outcome"),
+    [
+        ("no output was left behind", [], ""),
+        ("no output was left behind", ["out"], "left behind"),
+        ("no output was left behind", [".drive_id-x"], "left behind"),
+        ("out is complete", ["out"], ""),
+        ("out is complete", [], "left behind"),
+    ],
+)
+def test_what_an_interrupt_leaves_is_held_against_what_is_said(fuzz, tmp_path, said, names, outcome):
+    for name in (".out.txt", ".ready", "given.csv", *names):
+        (tmp_path / name).touch()
+    case = fuzz.Case("interrupt", 1, "", ("fit", "x"), "", fuzz.Limit("interrupt", 1.0))
+    ran = fuzz.Ran(130, "", f"drive-id: interrupted; {said}.\n", 1.0, 1e6)
+    assert fuzz.judged(ran, case, tmp_path, None, ["given.csv"])[0] == outcome
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,11 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "drive_id"
 NOUNS = {
     f"drive_id.{name}"
-    for name in ("errors", "health", "messages", "origins", "quantity", "settings", "temperature", "types", "version")
-}
+    for name in (
+        "errors", "health", "interrupts", "messages", "origins", "quantity", "settings", "temperature", "types",
+        "version",
+    )
+}  # fmt: skip
 ROS = {
     "action_msgs", "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch",
     "launch_ros", "lifecycle_msgs", "rcl_interfaces", "rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",
@@ -87,6 +90,7 @@ ROOMS = {
     ),
     "drive_id.errors": Room.of(set(), set()),
     "drive_id.health": Room.of(set(), set()),
+    "drive_id.interrupts": Room.of(set(), set()),
     "drive_id.types": Room.of({"drive_id.errors"}, {"numpy"}),
     "drive_id.origins": Room.of({"drive_id.errors"}, set()),
     "drive_id.messages": Room.of({"drive_id.quantity"}, {"yaml"}),

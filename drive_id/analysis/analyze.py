@@ -28,6 +28,9 @@ _LEAST_TORQUE = 1e-4  # at i_max, of the product of flux and current: less count
 _MOST_FALLING = 0.5  # share of the points with data at which a flux may fall with its own current
 _BEYOND = 0.05  # share by which the last speed must be exceeded if it is only the end of the tables
 _TURN = 1e-4  # of a current, for the voltage's slope along its circle, rad
+_ROUNDS, _FINER = 4, 8
+"""How often, and into how many speeds, those around the largest power are divided: at 31 speeds of the tables, it was
+0.2 % short, and moved with them by up to six of its standard errors."""
 _WEAKENING = 4.0  # highest speed of the tables, in corner speeds
 
 
@@ -171,9 +174,8 @@ def _figures_over_speed(model: MachineModel, of_speed: SpeedRange) -> dict[str, 
     """Return what the DC link limits; the largest torque is that at standstill."""
     motoring, sigma_torque = of_speed.motoring, of_speed.sigma_torque
     supported = motoring.inside(model)
-    possible = bool(np.isfinite(motoring.torque).any())
-    power = int(np.nanargmax(motoring.mechanical)) if possible else 0
-    sigma_power = motoring.speed[power] * sigma_torque[power]
+    strongest = _strongest(model, of_speed)
+    sigma_power = float(strongest.speed[0] * sigma_envelope(model, of_speed.limits, strongest)[0])
     efficiency = of_speed.references.efficiency
     best = np.unravel_index(np.nanargmax(efficiency) if np.isfinite(efficiency).any() else 0, efficiency.shape)
     there = model.inside(*of_speed.references.i_dq[best])
@@ -181,9 +183,22 @@ def _figures_over_speed(model: MachineModel, of_speed: SpeedRange) -> dict[str, 
         "max_torque": Figure.of(motoring.torque[0], sigma_torque[0], "Nm", supported[0]),
         "corner_speed": _corner(model, of_speed),
         _top(model, of_speed): Figure.of(motoring.speed[-1], np.nan, "rad/s", supported[-1]),
-        "max_power": Figure.of(motoring.mechanical[power], sigma_power, "W", supported[power]),
+        "max_power": Figure.of(strongest.mechanical[0], sigma_power, "W", strongest.inside(model)[0]),
         "max_efficiency": Figure.of(efficiency[best], of_speed.errors.efficiency[best], "1", there),
     }
+
+
+def _strongest(model: MachineModel, of_speed: SpeedRange) -> Operation:
+    """Return the point of the largest power, between the speeds of the tables as well."""
+    points = of_speed.motoring
+    if not np.isfinite(points.torque).any():
+        return points.chosen(np.arange(len(points.speed)) == 0)
+    for _ in range(_ROUNDS):
+        best = int(np.nanargmax(points.mechanical))
+        low, high = points.speed[max(best - 1, 0)], points.speed[min(best + 1, len(points.speed) - 1)]
+        finer = np.unique(np.append(np.linspace(low, high, _FINER), points.speed[best]))
+        points = envelope(model, of_speed.limits, finer)
+    return points.chosen(np.arange(len(points.speed)) == int(np.nanargmax(points.mechanical)))
 
 
 def _top(model: MachineModel, of_speed: SpeedRange) -> str:

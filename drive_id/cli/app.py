@@ -5,6 +5,7 @@ import dataclasses
 import gc
 import io
 import os
+import signal
 import sys
 from contextlib import suppress
 from enum import Enum
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from drive_id import interrupts
 from drive_id.cli import console, options
 from drive_id.cli.archive import index_results, serve_results
 from drive_id.cli.logs import check_log, convert_log
@@ -49,11 +51,24 @@ class FigureFormat(str, Enum):
 def main() -> None:
     """Run the command line; on bad input, exit with code 1 and one sentence."""
     atexit.register(gc.freeze)  # a last garbage collection would take a third of a second
+    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt
     gc.set_threshold(200_000)  # messages are many objects without cycles: collecting took a fifth of a check
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for small matrices, more threads only wait
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # names of files need not fit the terminal's encoding
+    with interrupts.taken():
+        try:
+            _run()
+        except BaseException as end:  # Python makes a RuntimeError of it where a class is being made
+            if not _is_interrupt(end):
+                raise
+            console.say(f"drive-id: {interrupts.last_word()}", to=console.err)
+            raise SystemExit(130) from None
+
+
+def _run() -> None:
+    """Run the command, and turn what is wrong into one sentence; an interrupt may come during that as well."""
     try:
         try:
             app()
@@ -71,11 +86,6 @@ def main() -> None:
         with suppress(OSError):  # or the interpreter would try the output once more
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         _fail(f"The system refuses a file or the output ({error.strerror or error}): make room, or raise the limit.")
-    except (KeyboardInterrupt, SystemExit) as end:
-        if not _is_interrupt(end):
-            raise
-        console.say("drive-id: interrupted; no output was left behind.", to=console.err)
-        raise SystemExit(130) from None
 
 
 def _fail(sentence: str) -> NoReturn:
@@ -257,8 +267,6 @@ def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *
     try:
         with console.working(quiet, "Writing the report" if report else "Drawing"):
             result.save(output, draw=True, report=report, figure_format=figure_format.value)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"the result in {output} is complete, but without pictures.") from None
     except (DriveIdError, ImportError, OSError, MemoryError) as error:
         missing = str(error).rstrip(".") or "the memory is not sufficient"
     if missing:  # raised here, where nothing holds what the failed pictures took

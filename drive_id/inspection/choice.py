@@ -14,7 +14,7 @@ from drive_id.core.checks.recognition import angle_like, is_count, likely_counts
 from drive_id.core.numerics.largest import USUAL_QUANTILE
 from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.inspection.clock import FEWEST, PERIODS, numbered, regular_stamps, timed
+from drive_id.inspection.clock import FEWEST, PERIODS, numbered, regular_stamps, timed, together
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.duty import full_scale
 from drive_id.inspection.names import name_groups, suggests, words
@@ -69,7 +69,7 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     Raises ConfigurationError when no columns look like currents, voltages and an angle: says which are missing.
     """
     parts = [part for table in contents.tables for part in by_presence(_with_time(table))]
-    tables = [timed(_filled(part), contents) for part in parts]
+    tables = together([timed(_filled(part), contents) for part in parts])
     tables = [_onward(table) for table in tables]
     if not any(len(table.stamp) for table in tables):
         tables = [numbered(table) for table in tables]

@@ -30,6 +30,8 @@ _REGULAR = 1e-3
 _ONWARD = 0.9  # share of the steps of a time that do not run back
 _MOST_PER_STAMP = 0.02
 """Share of all rows that may share one printed time: fewer digits tell no period."""
+_DATES = (1e18, 3e18)
+"""Nanoseconds since 1970 from 2001 to 2065, as dates are read: no other quantity of a log is as large."""
 _MEANINGS = ("angle", "speed", "current", "voltage", "reference")
 
 
@@ -51,6 +53,32 @@ def stamped(table: Table, name: str, tick: float) -> Table:
     if both:
         stamp += np.rint(table.columns[both[1]] - table.columns[both[1]][:1]).astype(np.int64)
     return replace(table, stamp=Restarts().continued(stamp), stamp_source=name)
+
+
+def together(tables: list[Table]) -> list[Table]:
+    """Return tables whose own time columns give their stamps with stamps from the first of them all.
+
+    Their clocks are one where they begin within the span of the longest; others each begin at zero.
+    """
+    began = [_began(table) for table in tables]
+    base = min((first for first in began if first is not None), default=0)
+    span = max((int(table.stamp[-1] - table.stamp[0]) for table in tables if len(table.stamp)), default=0)
+    if any(first is not None and first - base > span for first in began):
+        return tables
+    return [
+        table if first is None else replace(table, stamp=table.stamp + (first - base))
+        for table, first in zip(tables, began, strict=True)
+    ]
+
+
+def _began(table: Table) -> int | None:
+    """Return the time, ns, of the first row by the column that gives the stamps; None without one."""
+    found = time_column(table) if table.stamp_source in table.columns else None
+    if found is None or found[0] != table.stamp_source:
+        return None
+    both = seconds_columns(found[0], table.columns)
+    first = float(table.columns[both[0] if both else found[0]][0]) * STAMP_UNITS[found[1]]
+    return round(first) + (round(float(table.columns[both[1]][0])) if both else 0)
 
 
 def numbered(table: Table) -> Table:
@@ -81,6 +109,10 @@ def time_column(table: Table) -> tuple[str, str] | None:
             fits = float(np.ptp(x)) * STAMP_UNITS[unit] < _LONGEST
             if fits and PERIODS[0] <= period * STAMP_UNITS[unit] * 1e-9 <= PERIODS[1]:
                 return name, unit
+    for name, x in table.columns.items():
+        dates = len(x) >= FEWEST and _DATES[0] < np.min(x) and np.max(x) < _DATES[1]
+        if dates and PERIODS[0] <= _mean_step(x) * 1e-9 <= PERIODS[1]:
+            return name, "ns"  # whatever the name
     name, x = next(iter(table.columns.items()), ("", np.zeros(0)))
     steps = np.diff(x)
     regular = len(x) >= FEWEST and np.isfinite(x).all() and steps.min() > 0 and np.ptp(steps) < _REGULAR * steps.mean()

@@ -39,6 +39,8 @@ _COARSE = 1e-3
 """Electrical angle of one count, rad, from which the angle is smoothed."""
 _SMOOTHING = 0.003
 """Time over which it is smoothed, s: short beside the acceleration of a shaft."""
+_GAP = 1.5
+"""Median steps of the stamps, from which on samples are missing between."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +144,8 @@ class _DraftText:
             if table.block > 1:
                 found.append(f"  sample_period: {_nice(period)}")
         elif period is not None:
-            usual = float(np.median(np.diff(table.stamp))) * 1e-9
+            steps = np.diff(table.stamp)
+            usual = float(np.mean(steps[np.abs(steps) < _GAP * np.median(steps)])) * 1e-9  # dates are whole 256 ns here
             found.append(f"  sample_period: {_nice(usual if abs(usual / period - 1) > 1e-3 else period)}")
         return [*found, *lines]
 
@@ -207,10 +210,11 @@ class _DraftText:
         if self._link is None:
             self._unsure.append(
                 f"{', '.join(u.group.names)} are duty cycles from {range_}, and no DC-link voltage is in the log: set "
-                f"scale of the voltages to that voltage over {full:g} (written for {_ASSUMED_LINK:g} V); R and flux "
-                "are proportional to it."
+                f"scale of the voltages to that voltage{f' over {full:g}' if full != 1.0 else ''} (written for "
+                f"{_ASSUMED_LINK:g} V); R and flux are proportional to it."
             )
-            return f"  scale: {_ASSUMED_LINK / full:g}  # EDIT: U_dc/{full:g}, V, for duty cycles from {range_}"
+            wanted = "U_dc" if full == 1.0 else f"U_dc/{full:g}"
+            return f"  scale: {_ASSUMED_LINK / full:g}  # EDIT: {wanted}, V, for duty cycles from {range_}"
         table, name = self._link
         if not is_named_link(table, name):
             self._unsure.append(f"{name} was taken for the DC-link voltage by its values, not by its name.")

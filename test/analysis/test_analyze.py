@@ -247,6 +247,15 @@ def test_without_a_resistance_voltages_are_limited_all_the_same_and_losses_unkno
     found.save(tmp_path / "out")
 
 
+@pytest.mark.slow  # two analyses
+def test_the_largest_power_does_not_depend_on_the_speeds_of_the_tables(result):
+    """It was the largest at these speeds, which move with the corner speed: its error was not the stated one."""
+    rough, fine = (drive_id.analyze(result, replace(SMALL, speed_points=n)).figures["max_power"] for n in (7, 47))
+    assert rough.value == pytest.approx(fine.value, rel=1e-5)
+    assert rough.sigma == pytest.approx(fine.sigma, rel=0.1)
+    assert rough.inside == fine.inside
+
+
 def test_a_foreign_folder_is_left_alone_and_an_own_one_replaced(analysis, folder, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(OutputError, match="not results of drive_id"):

@@ -296,7 +296,7 @@ def test_duty_cycles_with_and_without_a_dc_link(tmp_path, samples):
     assert "NOT SURE: The duty cycles lie around zero" in check(path).draft.text
     path = write_csv(tmp_path / "without.csv", columns(samples, **none, **duty))
     draft = check(path).draft
-    assert "scale: 400  # EDIT: U_dc/1, V, for duty cycles from 0 to 1" in draft.text
+    assert "scale: 400  # EDIT: U_dc, V, for duty cycles from 0 to 1" in draft.text
     assert any("no DC-link voltage is in the log" in sentence for sentence in draft.unsure)
     recording = read_recording(path, parse_signals(draft.text, "draft"))
     assert "guessed_setting" in [message.code for message in recording.warnings]

@@ -58,6 +58,17 @@ def assert_same(found, samples, period=1e-4, *, missing=0, volts=0.05):
     assert np.abs(np.angle(np.exp(1j * (found.angle - samples.angle[at])))).max() < 0.05
 
 
+UNIT_FACTORS = {"t": 1e3, "i": 1e3, "u": 1e-3}
+"""From s, A and V to ms, mA and kV, by the letter of a column."""
+
+
+def without(columns, name, count):
+    """Return columns of which one misses values, at most one after the other."""
+    x = columns[name].copy()
+    x[100 : 100 + 100 * count : 100] = np.nan
+    return columns | {name: x}
+
+
 TOOLS = {  # writer, sample period, s, and missing samples
     "LabVIEW, decimal commas": (lambda p, c: tool_logs.labview(p / "a.lvm", c), 1e-4, 0),
     "LabVIEW without times": (lambda p, c: tool_logs.labview(p / "a.txt", stretched(c, 5e-5), times=False), 5e-5, 0),
@@ -120,6 +131,29 @@ TOOLS = {  # writer, sample period, s, and missing samples
             p / "a.txt", {n: np.delete(x, np.r_[1000:1007, 3000:3090, 5000]) for n, x in c.items()}, "\t"
         ), 1e-4, 98,
     ),
+    "ISO dates": (lambda p, c: tool_logs.dated(p / "a.csv", c, "timestamp", "%Y-%m-%dT%H:%M:%S.%fZ", ","), 1e-4, 0),
+    "ISO dates of another name at 4 kHz": (
+        lambda p, c: tool_logs.dated(p / "a.csv", stretched(c, 2.5e-4), "Datum", "%Y-%m-%d %H:%M:%S.%f", ","),
+        2.5e-4, 0,
+    ),
+    "dates with points of no known name": (
+        lambda p, c: tool_logs.dated(p / "a.csv", stretched(c, 5e-5), "col0", "%d.%m.%Y %H:%M:%S.%f", ";"), 5e-5, 0,
+    ),
+    "units in brackets, blank line, tabs": (
+        lambda p, c: tool_logs.unit_row(p / "a.txt", c, [f"[{u}]" for u in ("s", *"AAAVVV", "rad")], "\t", comma=True),
+        1e-4, 0,
+    ),
+    "units of ms, mA and kV, blank line": (
+        lambda p, c: tool_logs.unit_row(
+            p / "a.csv", {n: UNIT_FACTORS.get(n.strip("abc"), np.degrees(1)) * x for n, x in c.items()},
+            ["ms", *["mA"] * 3, *["kV"] * 3, "deg"], ";", comma=False,
+        ), 1e-4, 0,
+    ),
+    "words for missing values": (
+        lambda p, c: tool_logs.csv(p / "a.csv", without(c, "ia", 40), blank="OVR"), 1e-4, 40,
+    ),
+    "nulls of Parquet": (lambda p, c: tool_logs.parquet(p / "a.parquet", without(c, "uc", 33)), 1e-4, 33),
+    "nulls of JSON": (lambda p, c: tool_logs.json_lines(p / "a.jsonl", without(c, "ib", 12)), 1e-4, 12),
     "four digits from 10 s at 8 kHz": (
         lambda p, c: tool_logs.csv(p / "a.csv", stretched(c, 1.25e-4, 10.0), digits={"t": "%.4f"}), 1.25e-4, 0,
     ),
@@ -143,6 +177,14 @@ def test_a_channel_without_a_valid_value_is_named(tmp_path, columns):
     assert "share their time with an angle (ib without a valid value): write the signals file" in finding
 
 
+CAPTURES = {  # writer, and how many
+    "CSV": (tool_logs.csv, 2),
+    "CSV of three": (tool_logs.csv, 3),
+    "LabVIEW": (lambda path, c: tool_logs.labview(path, c, parts=2), 2),
+    "JSON lines": (tool_logs.json_lines, 2),
+    "TwinCAT": (lambda path, c: tool_logs.twincat(path, c, [[*PHASES, "theta"]], comma=True), 3),
+    "Parquet": (tool_logs.parquet, 4),
+}
 SECONDS = {"ROS 2": ("sec", "nanosec"), "ROS 1": ("header.stamp.secs", "header.stamp.nsecs"), "C": ("ts_s", "ts_ns")}
 
 
@@ -160,12 +202,11 @@ def test_seconds_and_nanoseconds_are_one_time(names, tmp_path, samples, columns)
 
 
 @pytest.mark.cases
-@pytest.mark.parametrize("writer", ["CSV", "CSV of three", "LabVIEW"])
+@pytest.mark.parametrize("writer", CAPTURES)
 def test_captures_whose_time_starts_again_are_runs(writer, tmp_path, samples, columns):
-    parts = 3 if writer == "CSV of three" else 2
+    write, parts = CAPTURES[writer]
     again = columns | {"t": np.mod(columns["t"], N / parts * 1e-4 - 1e-9)}
-    write = tool_logs.labview if writer == "LabVIEW" else tool_logs.csv
-    path = write(tmp_path / "a", columns, parts=2) if writer == "LabVIEW" else write(tmp_path / "a", again)
+    path = write(tmp_path / "a", columns if writer == "LabVIEW" else again)
     found, _, warnings = drafted(path)
     assert len(found) == N
     np.testing.assert_allclose(found.i_abc, samples.i_abc, atol=1e-3)
@@ -223,6 +264,26 @@ def test_each_waveform_begins_at_its_own_time(late, given, tmp_path, samples, co
         assert "time_shift" not in [finding.code for finding in check(path).findings]
 
 
+LATER = {  # writer of logs whose voltages begin later, and by how many samples
+    "MDF": (lambda path, c: tool_logs.mdf_groups(path, c, 17e-4), 17),
+    "TwinCAT": (lambda path, c: tool_logs.twincat(
+        path, c, [["ia", "ib", "ic", "theta"], ["ua", "ub", "uc"]], comma=False, late=1e-3), 10),
+    "TwinCAT with decimal commas": (lambda path, c: tool_logs.twincat(
+        path, c, [["ia", "ib", "ic", "theta"], ["ua", "ub", "uc"]], comma=True, late=42e-4), 42),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("tool", LATER)
+def test_each_group_begins_at_its_own_time(tool, tmp_path, samples, columns):
+    write, shift = LATER[tool]
+    moved = {name: x[shift:] if name[0] == "u" else x[: N - shift] for name, x in columns.items()}
+    path = write(tmp_path / "a", moved)
+    found, draft, _ = drafted(path)
+    assert_same(found, samples, missing=2 * shift)
+    assert "angle_offset: 0 " in draft.text  # where the draft took the groups for simultaneous, it turned the angle
+    assert "time_shift" not in [finding.code for finding in check(path).findings]
+
+
 def test_phases_that_begin_at_different_times_are_refused(tmp_path, columns):
     path = tool_logs.tdms(tmp_path / "a.tdms", columns, {"ic": {"wf_start_offset": 0.001}}, groups=True)
     with pytest.raises(DriveIdError, match=r"columns of section 'currents' \(ia, ib, ic\) have different times"):
@@ -253,6 +314,31 @@ def test_duty_cycles_are_no_volts_and_no_dc_link(kind, link, tmp_path, samples, 
     assert_same(found, samples, volts=0.05 if full <= 1000 else 0.3)
     assert ("guessed_setting" in warnings) == (not link)
     assert (f"# EDIT: {said}" in draft.text) == (not link)
+    assert "speed_scale: 4   # 4 pole pairs" in draft.text
+
+
+PERCENT = {  # writers of logs of duty cycles without a DC link, of whose columns some are named by number
+    "semicolons, decimal commas, no names": lambda path, c: tool_logs.csv(
+        path, dict(zip(["zeit", *(f"ch{k}" for k in range(1, 9))], c.values(), strict=True)), ";", comma=True),
+    "LabVIEW": tool_logs.labview,
+    "PicoScope": lambda path, c: tool_logs.picoscope(path, c, ["s", *"AAA", *"%%%", "deg", "rpm"]),
+    "TwinCAT": lambda path, c: tool_logs.twincat(path, c, [list(c)[1:4], list(c)[4:7], list(c)[7:]], comma=True),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("tool", PERCENT)
+def test_percent_in_the_dialect_of_a_tool(tool, tmp_path, samples, columns):
+    """With an electrical angle in degrees, and the speed of the shaft."""
+    duties = {f"Duty_{phase}": 100 * (columns[f"u{phase}"] / 400 + 0.5) for phase in "abc"}
+    currents = {name: columns[name] for name in ("t", *PHASES[:3])}
+    path = PERCENT[tool](
+        tmp_path / "a", currents | duties | {"angle": np.degrees(columns["theta"]), "rpm": np.full(N, 500.0)}
+    )
+    found, draft, warnings = drafted(path)
+    assert_same(found, samples)
+    assert "guessed_setting" in warnings
+    assert "scale: 4  # EDIT: U_dc/100" in draft.text
+    assert "angle_unit: deg" in draft.text
     assert "speed_scale: 4   # 4 pole pairs" in draft.text
 
 
@@ -367,6 +453,27 @@ def test_vesc_tool_logs_get_a_draft_for_static(coasting, period, tmp_path):
     np.testing.assert_allclose(log.data.speed, erpm * np.pi / 30)
     assert log.data.period == pytest.approx(period)
     assert ("inverter_off" in [warning.code for warning in log.warnings]) == bool(coasting)
+
+
+SLOW = {  # how a slow log is written otherwise
+    "commas": lambda text: text.replace(";\n", "\n").replace(";", ","),
+    "decimal commas": lambda text: text.replace(".", ","),
+    "names of another tool": lambda text: text.replace("ms_today", "Time [ms]").replace("erpm", "ERPM")
+    .replace("d_axis_current", "Id").replace("q_axis_current", "Iq")
+    .replace("d_axis_voltage", "Vd").replace("q_axis_voltage", "Vq"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("how", SLOW)
+def test_slow_logs_of_other_tools_get_a_draft_for_static(how, tmp_path):
+    path, i_dq, erpm = vesc(tmp_path / "a.csv")
+    path.write_text(SLOW[how](path.read_text()))
+    draft = check(path).draft
+    assert draft.static
+    log = read_operating_log(path, parse_signals(draft.text, "the draft"))
+    np.testing.assert_allclose(log.data.i_dq, i_dq, atol=1e-6)
+    np.testing.assert_allclose(log.data.speed, erpm * np.pi / 30)
+    assert log.data.period == pytest.approx(0.02)
 
 
 UNITS = {

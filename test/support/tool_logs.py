@@ -16,11 +16,14 @@ Columns = Mapping[str, np.ndarray]
 """``t`` in s, the phases, ``theta``, and whatever else."""
 
 
-def table(columns: Columns, separator: str = ",", comma: bool = False, digits: Mapping[str, str] | None = None) -> str:
-    """Write the rows of a table; cells that are NaN are blank."""
+def table(
+    columns: Columns, separator: str = ",", comma: bool = False, digits: Mapping[str, str] | None = None,
+    blank: str = "",
+) -> str:  # fmt: skip
+    """Write the rows of a table; cells that are NaN are ``blank``."""
     formats = [(digits or {}).get(name, "%.9g") for name in columns]
     rows = (
-        separator.join("" if np.isnan(x) else form % x for form, x in zip(formats, row, strict=True))
+        separator.join(blank if np.isnan(x) else form % x for form, x in zip(formats, row, strict=True))
         for row in np.column_stack(list(columns.values())).tolist()
     )
     text = "\n".join(rows) + "\n"
@@ -29,6 +32,22 @@ def table(columns: Columns, separator: str = ",", comma: bool = False, digits: M
 
 def csv(path: Path, columns: Columns, separator: str = ",", **how: object) -> Path:
     path.write_text(separator.join(columns) + "\n" + table(columns, separator, **how))  # type: ignore[arg-type]
+    return path
+
+
+def dated(path: Path, columns: Columns, name: str, form: str, separator: str) -> Path:
+    """Write dates for the times, in a column of this name."""
+    times = np.datetime64("2026-01-02T12:54:58.123456", "us") + np.rint(columns["t"] * 1e6).astype("timedelta64[us]")
+    rows = table({key: x for key, x in columns.items() if key != "t"}, separator).splitlines()
+    lines = [f"{time:{form}}{separator}{row}" for time, row in zip(times.tolist(), rows, strict=True)]
+    path.write_text("\n".join([separator.join([name, *list(columns)[1:]]), *lines]) + "\n")
+    return path
+
+
+def unit_row(path: Path, columns: Columns, units: list[str], separator: str, *, comma: bool) -> Path:
+    """Write names, a row of units, and a blank line before the rows."""
+    head = separator.join(columns) + "\n" + separator.join(units) + "\n\n"
+    path.write_text(head + table(columns, separator, comma=comma))
     return path
 
 
@@ -68,8 +87,8 @@ def picoscope(path: Path, columns: Columns, units: list[str], *, beyond: int = 0
     return path
 
 
-def twincat(path: Path, columns: Columns, groups: list[list[str]], *, comma: bool) -> Path:
-    """Write an export of TwinCAT Scope: a column of times, ms, before each group of channels."""
+def twincat(path: Path, columns: Columns, groups: list[list[str]], *, comma: bool, late: float = 0.0) -> Path:
+    """Write an export of TwinCAT Scope: a column of times, ms, before each group of channels, the last ``late`` s."""
     sep = "\t"
     names = [name for group in groups for name in ("Name", *group)]
 
@@ -86,7 +105,8 @@ def twincat(path: Path, columns: Columns, groups: list[list[str]], *, comma: boo
         line("Port", "851"),
     ]
     head += [line("Offset", "0"), line("ScaleFactor", "1"), line("BitMask", "0xFFFFFFFFFFFFFFFF"), ""]
-    body = [x for group in groups for x in (1e3 * columns["t"], *(columns[name] for name in group))]
+    times = [1e3 * (columns["t"] + late * (group is groups[-1])) for group in groups]
+    body = [x for t, group in zip(times, groups, strict=True) for x in (t, *(columns[name] for name in group))]
     text = table({str(k): x for k, x in enumerate(body)}, sep)
     path.write_text("\n".join(head).replace("0.1", "0,1" if comma else "0.1") + "\n"
                     + (text.replace(".", ",") if comma else text) + "EOF\n")  # fmt: skip
@@ -118,9 +138,10 @@ def packed(path: Path, write: Callable[[Path, Columns], Path], columns: Columns)
 
 
 def json_lines(path: Path, columns: Columns) -> Path:
-    """Write a message per line, with a stamp of seconds and nanoseconds, and phases in lists."""
+    """Write a message per line, with a stamp of seconds and nanoseconds, and phases in lists; NaN is null."""
     ns = np.rint(columns["t"] * 1e9).astype(np.int64) + 1_700_000_000_999_000_000
-    phases = {kind: np.column_stack([columns[f"{kind}{phase}"] for phase in "abc"]).tolist() for kind in "iu"}
+    phases = {kind: np.column_stack([columns[f"{kind}{phase}"] for phase in "abc"]).astype(object) for kind in "iu"}
+    phases = {kind: np.where(x == x, x, None).tolist() for kind, x in phases.items()}  # noqa: PLR0124  # NaN is not
     with path.open("w") as stream:
         for k, stamp in enumerate(ns.tolist()):
             header = {"stamp": {"sec": stamp // 10**9, "nanosec": stamp % 10**9}}
@@ -133,6 +154,14 @@ def feather(path: Path, columns: Columns) -> Path:
     import pandas as pd
 
     pd.DataFrame(dict(columns)).to_feather(path)
+    return path
+
+
+def parquet(path: Path, columns: Columns) -> Path:
+    """Write a table in which values that are NaN are nulls."""
+    import pandas as pd
+
+    pd.DataFrame(dict(columns)).convert_dtypes().to_parquet(path)
     return path
 
 
@@ -177,6 +206,19 @@ def mdf(path: Path, columns: Columns, invalid: Mapping[str, np.ndarray], version
     with MDF(version=version) as file:
         file.append(channels)
         return file.save(path.with_suffix(".mf4"), overwrite=True).rename(path)
+
+
+def mdf_groups(path: Path, columns: Columns, late: float) -> Path:
+    """Write a group per letter of the names, of which that of the voltages begins ``late`` s after the others."""
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        for group in "iut":
+            times = columns["t"] + late * (group == "u")
+            file.append([
+                Signal(x, times, name=name) for name, x in columns.items() if name[0] == group and name != "t"
+            ])  # fmt: skip
+        return file.save(path, overwrite=True)
 
 
 def vesc_tool(path: Path, i_dq: np.ndarray, u_dq: np.ndarray, erpm: np.ndarray, *, period: float = 0.02) -> Path:

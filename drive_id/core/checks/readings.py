@@ -48,7 +48,11 @@ _LATE_SHARE = 8  # part of a run that it may take
 _LATE_TURN = 0.3  # rad by which the rotor turns between the delays that are tried first
 _LATE_BETTER = 0.8
 """Largest ratio of unexplained voltage, to that without a delay, of a shift in time that is reported: 0.74 with one of
-3 samples, 0.84 at least on 106 good random drives, and 0.77 on another one, whose current sensors are not linear."""
+3 samples, 0.84 at least on 106 good random drives, and 0.77 on another one, whose current sensors are not linear
+(no shift at all on 24 more of that kind)."""
+_NARROW = 0.1
+"""Extent of the currents in d and q across by that along their main direction, below which they move on a line: 0.02
+with noise. At one speed, a shift in time then turns and bends the voltage as offset and saturation do."""
 _CORRECTED = "unexplained_corrected"
 _RESTING = 0.05
 """Mean phase current of a part at rest, relative to i_max."""
@@ -261,7 +265,9 @@ def _of_angle(over: int, under: int) -> tuple[str, dict[str, Value]]:
 
 
 def _time_shift(runs: Sequence[Excerpt], declared: RoughFit) -> Message | None:
-    """Return a finding if the voltages are many samples early or late; None if a shift explains no more."""
+    """Return a finding if the voltages are many samples early or late; None if a shift explains no more, or any may."""
+    if _on_a_line(runs):
+        return None
     period = float(np.median([excerpt.run.sample_period for excerpt in runs]))
     longest = max(len(excerpt.i_s) for excerpt in runs)
     reach = min(int(np.clip(_LATE[0] / period, *_LATE[1:])), longest // _LATE_SHARE)
@@ -279,6 +285,14 @@ def _time_shift(runs: Sequence[Excerpt], declared: RoughFit) -> Message | None:
     ):
         return None
     return Message("time_shift", delay=shifted.delay, late=shifted.delay * period, **_compared(declared, shifted))
+
+
+def _on_a_line(runs: Sequence[Excerpt]) -> bool:
+    """Tell whether the currents move along a line in d and q only, at one speed."""
+    speed = np.concatenate([excerpt.run.speed for excerpt in runs])
+    i_r = np.concatenate([excerpt.i_s * np.exp(-1j * excerpt.angle) for excerpt in runs])
+    extents = np.linalg.svd(np.cov(i_r.real, i_r.imag), compute_uv=False) ** 0.5
+    return bool(np.ptp(speed) < _RAMP * np.abs(speed).mean() and extents[1] < _NARROW * extents[0])
 
 
 def _offset(i_max: float, fit: RoughFit) -> Iterator[Message]:

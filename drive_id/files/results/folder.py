@@ -13,6 +13,7 @@ from pathlib import Path
 from drive_id.errors import OutputError
 from drive_id.files.inputs.input_file import open_input, read_text_input
 from drive_id.files.storage.durable import exchanged, make_folder, sync_folder, write_synced
+from drive_id.interrupts import held, note_complete
 
 FORMAT = "drive_id/identification"
 MARKER = "identification.json"
@@ -113,9 +114,11 @@ def replace_folder(
         for name in files:
             if (target / name).is_dir():
                 raise IsADirectoryError(errno.EISDIR, f"{name} in it is a folder")
-        grown = make_folder(target.parent, exist_ok=True)
-        if not _put_in_place(target, files, {*files, *stale}):
-            _replace_each(target, files, marker, stale)
+        with held():
+            grown = make_folder(target.parent, exist_ok=True)
+            if not _put_in_place(target, files, {*files, *stale}):
+                _replace_each(target, files, marker, stale)
+            note_complete(directory)
         for folder in {*grown, target.parent}:
             sync_folder(folder)
     except OSError as error:
@@ -178,11 +181,13 @@ def replace_file(path: Path, content: bytes) -> None:
     Raises OutputError when it cannot be written.
     """
     try:
-        grown = make_folder(path.parent, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=_STAGED) as temporary:
-            staged = Path(temporary) / "file"
-            write_synced(staged, content)
-            staged.replace(path)
+        with held():
+            grown = make_folder(path.parent, exist_ok=True)
+            with tempfile.TemporaryDirectory(dir=path.parent, prefix=_STAGED) as temporary:
+                staged = Path(temporary) / "file"
+                write_synced(staged, content)
+                staged.replace(path)
+            note_complete(path)
         for folder in {*grown, path.parent}:
             sync_folder(folder)
     except OSError as error:

@@ -39,6 +39,7 @@ from drive_id.messages import Message
 from drive_id.origins import ORIGINS
 from drive_id.quantity import plain
 from drive_id.settings import from_mapping
+from drive_id.types import FloatArray
 from drive_id.version import VERSION
 
 if TYPE_CHECKING:
@@ -55,7 +56,10 @@ _UNITS = {
     "i_max": "A", "u_dc": "V", "speed_range": "rad/s, electrical", "duration": "s",
 }  # fmt: skip
 _PHASES = ("voltage_a", "voltage_b", "voltage_c")
+_SIGMA = "sigma_voltage"
 _AMPLITUDES = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
+_MOST = 1e9
+"""A, Wb and V, in maps and inverter curves: no drive comes near, and squares and products of such values are finite."""
 _MODES = tuple(f"modes_{entry.name}" for entry in fields(ErrorModes))
 """Arrays of the joint errors: one standard error of each of M independent causes along the first axis."""
 _LARGEST = 1 << 27  # bytes of a file of a result, a hundred times those of a fit
@@ -269,7 +273,7 @@ def _curve(identification: IdentifiedDrive) -> dict[str, Any]:
         "convention": "voltage drop of one phase, positive for positive current",
         "current": identification.inverter_current.tolist(),
         "voltage": identification.inverter_voltage.tolist(),
-        **({} if sigma is None else {"sigma_voltage": sigma.tolist()}),
+        **({} if sigma is None else {_SIGMA: sigma.tolist()}),
         **({} if phases is None else dict(zip(_PHASES, phases.T.tolist(), strict=True))),
     }
 
@@ -286,6 +290,8 @@ def _read_flux_map(content: bytes) -> FluxMap:
         raise ValueError(f"{_NPZ} holds fluxes that are not finite")
     if not all((np.diff(arrays[name]) > 0).all() for name in ("i_d", "i_q")):
         raise ValueError(f"{_NPZ} has axes that do not rise")
+    if any((np.abs(arrays[name]) > _MOST).any() for name in ("i_d", "i_q", "psi_d", "psi_q")):
+        raise ValueError(f"{_NPZ} holds currents or fluxes beyond any drive")
     return FluxMap(**arrays)
 
 
@@ -314,8 +320,7 @@ def _read_harmonics(content: bytes, shape: tuple[int, ...]) -> tuple[HarmonicMap
 def _identification(
     tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...], modes: ErrorModes | None
 ) -> IdentifiedDrive:
-    curve, metrics = tree["inverter_curve"], tree["metrics"]
-    sigmas = curve.get("sigma_voltage")
+    curve, metrics = _read_curve(tree["inverter_curve"]), tree["metrics"]
     magnet, linear = tree.get("magnet_coefficient"), tree.get("linear_machine")
     report: dict[str, Any] = {}
     for entry in fields(FitReport):
@@ -331,12 +336,12 @@ def _identification(
         sigma_resistance=_number(tree["sigma_resistance"], np.inf),
         voltage_error=float(tree["voltage_error"]),
         sigma_voltage_error=_number(tree["sigma_voltage_error"], np.inf),
-        inverter_current=np.array(curve["current"], np.float64),
-        inverter_voltage=np.array(curve["voltage"], np.float64),
+        inverter_current=curve["current"],
+        inverter_voltage=curve["voltage"],
         flux_map=flux_map,
         report=FitReport(**report),
-        sigma_inverter_voltage=None if sigmas is None else np.array([_number(value, np.inf) for value in sigmas]),
-        phase_voltages=np.array([curve[name] for name in _PHASES], np.float64).T if _PHASES[0] in curve else None,
+        sigma_inverter_voltage=curve.get(_SIGMA),
+        phase_voltages=np.stack([curve[name] for name in _PHASES], axis=1) if _PHASES[0] in curve else None,
         harmonics=harmonics,
         calibrations=tuple(map(_read_calibration, tree["calibrations"])),
         magnet_coefficient=None if magnet is None else (float(magnet[0]), _number(magnet[1], np.inf)),
@@ -346,6 +351,21 @@ def _identification(
         error_modes=modes,
         linear=None if linear is None else LinearMachine(**{name: _number(x, np.inf) for name, x in linear.items()}),
     )
+
+
+def _read_curve(curve: Mapping[str, Any]) -> dict[str, FloatArray]:
+    """Return current, voltage, its standard error and the voltages of the phases, as far as they are stored."""
+    optional = {_SIGMA: [_SIGMA], _PHASES[0]: _PHASES}
+    names = ["current", "voltage", *(name for first, group in optional.items() if first in curve for name in group)]
+    arrays = {name: np.array([_number(x, np.inf if name == _SIGMA else np.nan) for x in curve[name]]) for name in names}
+    current = arrays["current"]
+    if len(current) < 2 or any(len(values) != len(current) for values in arrays.values()):
+        raise ValueError("the inverter curve's currents and voltages differ in number")
+    if not (np.diff(current) > 0).all():
+        raise ValueError("the inverter curve's currents do not rise")
+    if any((np.abs(values) > _MOST).any() for name, values in arrays.items() if name != _SIGMA):
+        raise ValueError("the inverter curve holds values beyond any drive")
+    return arrays
 
 
 def _read_calibration(entry: Mapping[str, Any]) -> Calibration:

@@ -29,6 +29,7 @@ from drive_id.files.storage.container import MCAP_MAGIC
 from drive_id.files.storage.durable import make_folder, sync_folder
 from drive_id.files.storage.mcap import RECORDER_LIBRARY, McapStorage
 from drive_id.files.storage.metadata import FileEntry, Qos, TopicEntry, bag_information, write_metadata
+from drive_id.interrupts import held, note_complete
 
 if TYPE_CHECKING:
     from typing_extensions import Self
@@ -384,14 +385,20 @@ def whole_or_nothing(path: Path) -> Iterator[Path]:
         if path.exists() or path.is_symlink():
             raise _taken(path)
         unsynced = make_folder(path.parent, exist_ok=True) | {path.parent}
-        around = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
+        around: Path | None = None
         try:
+            with held():
+                around = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
             yield around / path.name
-            (around / path.name).rename(path)
+            with held():
+                (around / path.name).rename(path)
+                note_complete(path)
             for folder in unsynced:
                 sync_folder(folder)
         finally:
-            shutil.rmtree(around, ignore_errors=True)
+            if around is not None:
+                with held():
+                    shutil.rmtree(around, ignore_errors=True)
 
 
 @contextmanager

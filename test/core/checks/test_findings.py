@@ -209,6 +209,21 @@ def test_voltages_of_another_time(drives, drive, late):
     assert finding.values["delay"] == pytest.approx(late, abs=1)
 
 
+@pytest.mark.parametrize("turned", [0.0, 0.7, np.pi / 2])
+def test_currents_on_a_line_tell_no_time(turned):
+    """A saturation along it was taken for a shift of 58 samples; a change of speed would fix the time."""
+    n, period, speed, resistance = 2000, 1e-4, 200.0, 0.01
+    t = period * np.arange(n + 1)
+    along = 10 * np.sin(2 * np.pi * 1.25 * t)
+    direction, turn = np.exp(1j * turned), np.exp(1j * speed * t)
+    i_s = along * direction * turn
+    psi_s = (0.05 + 0.01 * np.arctan(along / 8) * direction) * turn
+    u_s = np.diff(psi_s) / period + resistance * (i_s[1:] + i_s[:-1]) / 2
+    stamp, angle = np.arange(n) * 100_000, speed * t[:n]
+    line = Samples(stamp, frames.phases(i_s[:n]), frames.phases(u_s), angle, np.full(n, speed), period)
+    assert "time_shift" not in [finding.code for finding in found(line)]
+
+
 def test_voltages_of_another_drive(ipm):
     other = recorded("ipm", 730.0)
     finding = told(replace(ipm, u_abc=other.u_abc))

@@ -225,12 +225,18 @@ def edited(written, **entries):
     marker.write_text(json.dumps(json.loads(marker.read_text()) | entries))
 
 
-def with_steep_axis(written):
-    """Put one current of an axis far beyond the next."""
-    with np.load(written / "flux_map.npz") as stored:
+def with_large(written, name, at):
+    """Put one value of an array far beyond all others."""
+    with np.load(forget_digests(written) / "flux_map.npz") as stored:
         arrays = dict(stored)
-    arrays["i_d"][3] = 1e300
+    arrays[name][at] = 1e300
     np.savez(written / "flux_map.npz", **arrays)
+
+
+def with_curve(written, change):
+    """Change an entry of the inverter curve, as rows that are lost from its lists do."""
+    curve = json.loads((written / "identification.json").read_text())["inverter_curve"]
+    edited(written, inverter_curve=curve | {name: edit(curve[name]) for name, edit in change.items()})
 
 
 @pytest.mark.parametrize(
@@ -256,7 +262,16 @@ def with_steep_axis(written):
             "is damaged (flux_map.npz was not written with its identification.json, as after a kill or ",
         ),
         (lambda written: (forget_digests(written) / "flux_map.npz").write_bytes(b"PK"), "is damaged ("),
-        (lambda written: with_steep_axis(forget_digests(written)), "has axes that do not rise"),
+        (lambda written: with_large(written, "i_d", 3), "has axes that do not rise"),
+        (lambda written: with_large(written, "i_d", -1), "holds currents or fluxes beyond any drive"),
+        (lambda written: with_large(written, "psi_q", (2, 3)), "holds currents or fluxes beyond any drive"),
+        (lambda written: with_curve(written, {"voltage": lambda x: x[3:]}), "currents and voltages differ in number"),
+        (lambda written: with_curve(written, {"current": lambda x: x[::-1]}), "inverter curve's currents do not rise"),
+        (
+            lambda written: with_curve(written, {"voltage": lambda x: [1e300, *x[1:]]}),
+            "inverter curve holds values beyond any drive",
+        ),
+        (lambda written: with_curve(written, {"voltage": lambda x: ["x", *x[1:]]}), "is damaged ('x' is no number)"),
         (
             lambda written: np.savez(forget_digests(written) / "flux_map.npz", i_d=np.arange(9.0)),
             "is damaged (i_q is missing)",

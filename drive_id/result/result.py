@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
     from drive_id.core.accumulation.evidence import Evidence
-    from drive_id.core.full.calibration import Calibration
+    from drive_id.core.full.effects.effect import Calibration
     from drive_id.core.result.diagnostics import Diagnostics
     from drive_id.core.result.identification import HarmonicMap, LinearMachine, Mechanics, TorqueFit
 

@@ -14,7 +14,7 @@ import pytest
 from matplotlib.image import imread
 from matplotlib.text import Text
 
-from drive_id.core.full.calibration import Calibration
+from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.result.identification import HarmonicMap
 from drive_id.messages import Message
 from drive_id.pictures.caption import Caption

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drive_id.core.full.calibration import Calibration
+from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.result.identification import HarmonicMap
 from drive_id.messages import Message
 

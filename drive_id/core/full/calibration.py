@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.sparse.linalg import lsqr
@@ -11,6 +11,7 @@ from scipy.sparse.linalg import lsqr
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.delay import Delay
+from drive_id.core.full.effects.effect import VOLTAGE_MISMATCH, Calibration
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.model import CONSTANT, RESISTANCE
 from drive_id.core.full.windows import MOST_DELAY, SEARCHED
@@ -31,20 +32,7 @@ _LARGEST_ASYMMETRY = 0.01
 """Largest asymmetry of a mirror-symmetric machine at the best angle, relative to the largest flux."""
 _LEAST_MIRRORED = 0.3
 """Least range of i_q with mirror images, relative to i_max."""
-CURRENT_ROTATION, VOLTAGE_MISMATCH = "current_rotation", "voltage_gain_mismatch"
-
-
-@dataclass(frozen=True)
-class Calibration:
-    """One estimated sensor fault."""
-
-    name: str
-    value: float  # estimate, and below its standard error
-    sigma: float
-    unit: str
-    applied: bool  # whether the signals are corrected by it
-    message: Message  # the finding, and the reason if it was not applied
-    doubtful: bool = False  # the data contradict this fault, or it is too large to be corrected
+CURRENT_ROTATION = "current_rotation"
 
 
 def rotated(i_dq: FloatArray, angle: float) -> FloatArray:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import sparse
 
 from drive_id.core.full.delay import SPEEDS_APART, Delay, estimate_delay
+from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.linearized import (
     DELAY,
     EffectSearch,
@@ -24,7 +25,7 @@ from drive_id.core.full.linearized import (
     settled,
     with_hidden_ripple,
 )
-from drive_id.core.full.model import EFFECTS, PENALTIES, FullModel, ModelSpec
+from drive_id.core.full.model import PENALTIES, FullModel, ModelSpec
 from drive_id.core.full.reduced import Reduced, Subset, best_delay
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.standard_errors import STUDENT
@@ -55,28 +56,14 @@ _MOST_BY_PENALTY = 0.3
 _RIVAL = 0.3
 """Share of a member's saving from which on a rival is linearized as well before it loses: iron loss that moves currents
 across a saturating bridge saves half of it at first."""
-_LONGEST_LATENCY = 0.8
-"""Of angle or currents, sample periods: the columns hold below 1."""
-_MOST_TURNED = 0.25
-"""Angle, rad, by which a late angle or current may turn the flux: the columns are linear in it."""
-_LARGEST_LAG = 0.2
-"""Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
-_OF_LINK = ("link_ripple", "link_sag")
 _OF_MISFIT = 0.5
 """Share of the squared residuals beyond noise that a variation of the DC link must explain: the misfit of a map recurs
 with the trajectory and the power, and a part of it looks like theirs."""
-_ALIKE = ({"current_latency", "angle_latency"},)
-"""Effects of which the data hold one: if currents and angle are late by the same time, the voltages are early by it."""
-_LAGS = ("flux_lag", *(name for name in EFFECTS if name.startswith("flux_lag_")))
-_ALIKE_AT_ONE_SPEED = ({DELAY, "current_latency", "angle_latency", "current_rotation", *_LAGS},)
-"""The same at one speed: they rotate the flux against the currents, or do so beside another: a delay less a lag of the
-flux in the rotor's frame is a rotation, which no map shows."""
-_TURNING = {DELAY, "current_latency", "angle_latency", "iron_loss", "hysteresis", "coercivity"}
-"""All of them turn the flux against the currents: only the bends of the map tell them apart at one speed."""
-_BESIDE = {"current_rotation": "current_gains"}
-"""Effects that are tried beside another one only: sensors that turn the currents have unequal gains as well."""
-_POSITIVE = ("iron_loss", "flux", "link_sag")
-_FAMILIES = {"hysteresis": "iron_loss", "coercivity": "iron_loss", "flux_lag": "flux"}
+_LATE = {name for name, effect in CATALOGUE.items() if effect.late}
+_ROTATING = {DELAY, *(name for name, effect in CATALOGUE.items() if effect.rotates)}
+"""Of these, the data hold one at one speed: a delay less a lag of the flux is a rotation, which no map shows."""
+_TURNING = {DELAY, *(name for name, effect in CATALOGUE.items() if effect.turns)}
+_BESIDE = {name: effect.beside for name, effect in CATALOGUE.items() if effect.beside}
 
 
 @dataclass(frozen=True)
@@ -166,13 +153,12 @@ class _Search:
         if any(name in names and other not in names for name, other in _BESIDE.items()):
             return False
         members = names | {DELAY} if delay != self.usual else names
-        alike = (*_ALIKE, *_ALIKE_AT_ONE_SPEED) if self.rules.one_speed else _ALIKE
-        if any(len(each & members) > 1 for each in alike):
+        if len(members & _LATE) > 1 or (self.rules.one_speed and len(members & _ROTATING) > 1):
             return False
         found = self.subset(names)
         if not all(_plausible(name, float(found.value(name, delay)[0]), self.rules.noise) for name in names):
             return False
-        return all(self._explains_misfit(names, name, delay) for name in names & {*_OF_LINK})
+        return all(self._explains_misfit(names, name, delay) for name in names if CATALOGUE[name].of_link)
 
     def _explains_misfit(self, names: frozenset[str], name: str, delay: float) -> bool:
         before, after = (self.subset(each).squares(delay) for each in (names - {name}, names))
@@ -394,7 +380,7 @@ def _price(name: str) -> float:
     """Return the share of squared residuals, or squared errors on data left out, that an effect must save."""
     if name in _BESIDE:
         return LEAST_BESIDE
-    return _PRICE + (LEAST_BESIDE if name == "hysteresis" else 0.0)  # where speeds hardly differ, it is iron loss
+    return _PRICE + (CATALOGUE[name].price if name in CATALOGUE else 0.0)
 
 
 def turning(taken: Sequence[Taken]) -> set[str]:
@@ -435,13 +421,9 @@ def effect_savings(
 
 def _plausible(name: str, value: float, noise: CurrentNoise) -> bool:
     """Tell whether the value of an effect is physically possible."""
-    if name.endswith("_latency"):
-        return abs(value) < min(_LONGEST_LATENCY, _MOST_TURNED / noise.turn) * noise.period
-    if name.startswith("flux_lag_"):
-        return 0 <= value < _LARGEST_LAG
-    return _family(name) not in _POSITIVE or value >= 0
+    return CATALOGUE[name].plausible(value, noise.turn, noise.period)
 
 
 def _family(name: str) -> str:
     """Return the common physical cause of variants of an effect."""
-    return _FAMILIES.get(name, name.split("_lag_", maxsplit=1)[0])
+    return CATALOGUE[name].family if name in CATALOGUE else name

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from drive_id.core.full.delay import Delay
-from drive_id.core.full.effects import EffectColumns
+from drive_id.core.full.effects.columns import EffectColumns
 from drive_id.core.full.link_ripple import ripple_frequency
 from drive_id.core.full.model import VOLTAGE, FullModel, ModelSpec
 from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver

@@ -1,8 +1,4 @@
-"""Variation of a DC link that was not recorded: its frequency, and its columns of the regression.
-
-The inverter's voltages exceed those commanded by the share ``a cos 2 pi f t + b sin 2 pi f t``, with separate a and b
-for each run, because the phase is unknown after a gap.
-"""
+"""Frequency of a variation of the DC link that was not recorded."""
 
 from __future__ import annotations
 
@@ -10,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from drive_id.core.frames import ComplexArray
+from drive_id.core.full.effects.link import ripple_columns
 from drive_id.core.full.model import FullModel
 from drive_id.core.full.windows import Windows
 from drive_id.types import TINY, FloatArray
@@ -26,26 +22,6 @@ _STEPS_PER_TURN = 3.0
 """Frequencies tried for each turn by which the phase would drift over a stretch."""
 _FINER = 8
 """Frequencies tried, over the whole runs, between two of the best neighbours."""
-
-
-def ripple_columns(windows: Windows) -> Callable[[float], ComplexArray]:
-    """Return the function of a frequency, Hz, that gives the columns (N, 2) of a and b, Vs.
-
-    The voltage in the rotor frame is taken as constant over a window, so that its integral is known.
-    """
-    speed, duration = windows.speed.mean(axis=1), windows.duration
-    u_dq = np.mean(windows.held * np.exp(-1j * windows.angle), axis=1)
-    middle = u_dq * np.exp(1j * (windows.angle[:, 0] + 0.5 * speed * duration)) * duration
-    at = windows.time + 0.5 * duration
-
-    def columns(frequency: float) -> ComplexArray:
-        turns = 2 * np.pi * frequency
-        turned = np.exp(1j * turns * at)
-        ahead, behind = (np.sinc((speed + sign * turns) * duration / (2 * np.pi)) for sign in (1, -1))
-        sides = middle * turned * ahead, middle * turned.conj() * behind
-        return np.stack([-0.5 * (sides[0] + sides[1]), 0.5j * (sides[0] - sides[1])], axis=1)
-
-    return columns
 
 
 def ripple_frequency(

@@ -21,8 +21,9 @@ from itertools import pairwise
 import numpy as np
 from scipy import sparse
 
+from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.resolution import Resolution
-from drive_id.core.full.windows import LAGS, SHIFTS, Windows
+from drive_id.core.full.windows import SHIFTS, Windows
 from drive_id.core.maps.coenergy import GradientSpline, PotentialSpline
 from drive_id.core.maps.flux_models import ColumnArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
@@ -38,43 +39,13 @@ CONSTANT = slice(2, 4)
 SHIFT = slice(4, 4 + len(SHIFTS))
 MAGNET = SHIFT.stop
 
-MOST_RUNS, MOST_RECORDINGS = 4, 8
-"""Most runs with separate mechanical angles, and most recordings with separate temperatures."""
-
 
 def _layout(widths: dict[str, int]) -> dict[str, slice]:
     ends = np.cumsum(list(widths.values())).tolist()
     return {name: slice(end - width, end) for (name, width), end in zip(widths.items(), ends, strict=True)}
 
 
-EFFECTS = _layout(
-    {
-        "iron_loss": 1,
-        "hysteresis": 1,
-        "coercivity": 1,
-        "current_latency": 1,
-        "angle_latency": 1,
-        "flux_lag": 1,
-        **{f"flux_lag_{1e3 * lag:g}ms": 1 for lag in LAGS},
-        "copper_heating": 1,
-        "magnet_heating": 2,
-        "copper_recordings": MOST_RECORDINGS - 1,
-        "magnet_recordings": 2 * (MOST_RECORDINGS - 1),
-        "eccentricity": 2 * MOST_RUNS,
-        "eccentric_rotor": 2 * MOST_RUNS,
-        "resolver_first": 2,
-        "resolver_second": 2,
-        "dc_link": 1,
-        "link_ripple": 2 * MOST_RUNS,
-        "link_sag": 1,
-        "phase_resistance": 2,
-        "voltage_gains": 2,
-        "current_rotation": 1,
-        "current_gains": 2,
-        "current_offset": 2,
-        "remainder": 1,
-    }
-)
+EFFECTS = _layout({name: effect.width for name, effect in CATALOGUE.items()} | {"remainder": 1})
 """Candidate effects and their columns relative to the first one; last, their second-order remainder, which has no
 unknown."""
 

@@ -17,9 +17,10 @@ from drive_id.core.full.effect_search import (
     turning,
     with_effects_only,
 )
-from drive_id.core.full.effects import OF_SENSORS
+from drive_id.core.full.effects.catalogue import CATALOGUE
+from drive_id.core.full.effects.effect import Recorded
 from drive_id.core.full.linearized import EffectSearch
-from drive_id.core.full.model import EFFECTS, MOST_RECORDINGS, MOST_RUNS, PENALTIES, RESISTANCE, FullModel, ModelSpec
+from drive_id.core.full.model import PENALTIES, RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
 from drive_id.core.full.solver import LEAST_SAVED, CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.standard_errors import SIGNIFICANCE, changes_by_batch, sigma
@@ -50,8 +51,6 @@ _LEAST_HEATING = 5.0
 _SEARCHES = 2
 """Most searches for further harmonics: strong ones hide weak ones."""
 _OFFSET = "current_offset"
-_CAUSED = {_OFFSET: 1, "current_gains": 2}
-"""Harmonics of the flux that faults of the current sensors cause, and that are none of the machine beside them."""
 _FREE_TURN = np.deg2rad(3.0)
 """Electrical angle per sample above which free maps are not tried: what the current does between samples is known to
 second order only, and what remains is not reciprocal. Of 224 random drives, free maps won in 14 with reciprocal
@@ -65,8 +64,6 @@ _MISFIT_WINDOWS = 6000
 """Windows whose residuals are attributed to cells: some 100 for each cell of an axis."""
 _REFINEMENTS = 4
 """Most divisions of the cells, each to a half or a quarter: from 28 to 0.1 A at i_max = 400 A."""
-_AT_REST = ("copper_heating", "copper_recordings", "dc_link", "link_ripple", "link_sag")
-"""Effects that show while the rotor stands still."""
 _SMOOTH = 1.0
 """Penalty of fine cells at first: effects are linearized about the map, which fine cells make rough."""
 _LOCAL = 1e-3
@@ -122,7 +119,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     for _ in range(_SEARCHES if settings.search_orders else 0):
         found, solution = candidate.search.sums, candidate.search.solution
         new = unexpected_orders(sums.model, solution.estimate, found.kept(), known)
-        caused = [order for name, order in _CAUSED.items() if name in solution.spec.effects]
+        caused = [CATALOGUE[name].harmonic for name in solution.spec.effects]
         new = tuple(order for order in new if order in distinct_orders((*known, order), turn) and order not in caused)
         if not new:
             break
@@ -451,20 +448,16 @@ def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
     """Return the effects that can be estimated from these data."""
     kept = sums.kept()
     runs, recordings = (1 + max(int(getattr(windows, name).max()) for windows in kept) for name in ("run", "recording"))
-    link = any(np.isfinite(windows.link).any() for windows in kept)
-    known = {
-        "copper_recordings": 1 < recordings <= MOST_RECORDINGS and not settings.temperatures,
-        "magnet_recordings": 1 < recordings <= MOST_RECORDINGS and not settings.temperatures,
-        "eccentricity": runs <= MOST_RUNS,
-        # a flux that varies over θ/p looks like a map where the trajectory repeats at the same rate: p must be known
-        "eccentric_rotor": runs <= MOST_RUNS and settings.pole_pairs > 0,
-        "dc_link": link,
-        "link_ripple": runs <= MOST_RUNS and not link,
-        "link_sag": not link,
-        **dict.fromkeys(OF_SENSORS, settings.calibrate_currents),
-    }
-    names = EFFECTS if ORIGINS[settings.method].turning else _AT_REST
-    return tuple(name for name in names if name != "remainder" and known.get(name, True))
+    known = Recorded(
+        runs=runs,
+        recordings=recordings,
+        link=any(np.isfinite(windows.link).any() for windows in kept),
+        temperatures=bool(settings.temperatures),
+        pole_pairs=settings.pole_pairs > 0,
+        sensors=settings.calibrate_currents,
+    )
+    turning = ORIGINS[settings.method].turning
+    return tuple(name for name, effect in CATALOGUE.items() if effect.possible(known) and (turning or effect.at_rest))
 
 
 def compensates(model: FullModel, solution: FullSolution) -> bool:

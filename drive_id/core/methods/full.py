@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
-from drive_id.core.full.calibration import Calibration, rotated
+from drive_id.core.full.calibration import rotated
 from drive_id.core.full.effect_report import (
     OUTLYING,
     effect_entries,
@@ -18,7 +18,8 @@ from drive_id.core.full.effect_report import (
     unseen_warning,
 )
 from drive_id.core.full.effect_search import several_speeds
-from drive_id.core.full.effects import OF_RECORDINGS
+from drive_id.core.full.effects.catalogue import CATALOGUE
+from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.model import MAGNET, RESISTANCE
 from drive_id.core.full.resolution import FLUX_CELLS
@@ -283,7 +284,7 @@ def _effect_voltages(evidence: Evidence, fit: FullFit) -> EffectVoltages | None:
     search = fit.selection.search
     columns = replace(search.found.columns, estimate=fit.solution.estimate)
     recordings = 1 + max(int(windows.recording.max()) for windows in search.sums.kept())
-    of_recordings = set(fit.spec.effects) & set(OF_RECORDINGS)
+    of_recordings = [name for name in fit.spec.effects if CATALOGUE[name].of_recordings]
 
     def voltages(pieces: Sequence[Samples]) -> tuple[list[FloatArray], bool]:
         whole = len(pieces) == recordings and sum(len(piece) for piece in pieces) >= evidence.samples

@@ -12,7 +12,7 @@ from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 if TYPE_CHECKING:  # a stored result is read without scipy
-    from drive_id.core.full.calibration import Calibration
+    from drive_id.core.full.effects.effect import Calibration
     from drive_id.core.maps.error_modes import ErrorModes
     from drive_id.core.maps.flux_models import FluxModel
 

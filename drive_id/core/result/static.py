@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.calibration import Calibration
+from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.maps.coverage import disc_coverage
 from drive_id.core.maps.support import Support
 from drive_id.core.methods.method import CURVE_POINTS

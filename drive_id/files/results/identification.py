@@ -43,7 +43,7 @@ from drive_id.types import FloatArray
 from drive_id.version import VERSION
 
 if TYPE_CHECKING:
-    from drive_id.core.full.calibration import Calibration
+    from drive_id.core.full.effects.effect import Calibration
 
 FORMAT_VERSION = 1
 _PICTURES = {f"{name}.{suffix}" for name in ("flux_map", "diagnostics") for suffix in ("png", "svg", "pdf")}
@@ -369,7 +369,7 @@ def _read_curve(curve: Mapping[str, Any]) -> dict[str, FloatArray]:
 
 
 def _read_calibration(entry: Mapping[str, Any]) -> Calibration:
-    from drive_id.core.full.calibration import Calibration  # noqa: PLC0415  # not needed to write a result
+    from drive_id.core.full.effects.effect import Calibration  # noqa: PLC0415  # not needed to write a result
 
     return Calibration(
         name=str(entry["name"]),

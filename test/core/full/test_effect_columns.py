@@ -16,7 +16,7 @@ from full_design import design
 from synthetic import saturating_flux
 
 from drive_id.core import frames
-from drive_id.core.full.effects import EffectColumns
+from drive_id.core.full.effects.columns import EffectColumns
 from drive_id.core.full.model import EFFECTS, RESISTANCE, VOLTAGE, FullModel
 from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.types import Samples

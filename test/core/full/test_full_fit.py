@@ -12,8 +12,9 @@ from synthetic import record as record_of
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import window_sums
-from drive_id.core.full.calibration import Calibration, corrected, rotated
+from drive_id.core.full.calibration import corrected, rotated
 from drive_id.core.full.effect_report import unseen_warning
+from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.full.fit import fit_full, sigma
 from drive_id.core.full.model import RESISTANCE, ModelSpec, delay_shares
 from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 from synthetic import record
 
 from drive_id.core.full.effect_search import held_out
-from drive_id.core.full.effects import EffectColumns
+from drive_id.core.full.effects.columns import EffectColumns
 from drive_id.core.full.model import FullModel, ModelSpec, roughness
 from drive_id.core.full.solver import Solver
 from drive_id.core.full.winding_heat import WindingHeat

@@ -12,6 +12,7 @@ import pytest
 from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full.model import ModelSpec
 from drive_id.core.full.resolution import Resolution, misfit_by_cell
 from drive_id.core.full.selection import _advantage, _clearly_better
 from drive_id.core.full.solver import Solver
@@ -125,6 +126,8 @@ def test_one_fold_alone_divides_no_cells(lost, better):
 def test_free_maps_are_tried_on_folds_that_the_others_cannot_predict_as_well(beyond, taken):
     error, other = 1e-3 * np.array([9.0, 9.0, 1.0, 1.0, 1.0]), 1e-3 * np.array([beyond, beyond, 0.8, 0.8, 0.8])
     solver = SimpleNamespace(total_voltage=1.0, left_out=lambda _spec, _penalties, folds: other[folds][:, None])
-    solver.left_out_if_less = partial(Solver.left_out_if_less, solver)
-    advantage = _advantage(solver, None, error)
+    for name in ("left_out_if_less", "better_penalty"):
+        setattr(solver, name, partial(getattr(Solver, name), solver))
+    solver._best = Solver._best
+    advantage = _advantage(solver, ModelSpec(False, ()), error)
     assert advantage == pytest.approx(0.2 if taken else np.nan, nan_ok=True)

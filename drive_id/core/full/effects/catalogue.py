@@ -1,0 +1,43 @@
+"""All effects that ``full`` looks for: another one is a class beside these, and a line here."""
+
+from __future__ import annotations
+
+from drive_id.core.full.effects.effect import DriveEffect
+from drive_id.core.full.effects.heat import CopperHeating, CopperRecordings, MagnetHeating, MagnetRecordings
+from drive_id.core.full.effects.iron import Coercivity, EddyCurrents, Hysteresis
+from drive_id.core.full.effects.link import DcLink, LinkRipple, LinkSag
+from drive_id.core.full.effects.phases import PhaseResistance, VoltageGains
+from drive_id.core.full.effects.resolver import Eccentricity, EccentricRotor, ResolverOrder
+from drive_id.core.full.effects.sensors import CurrentGains, CurrentOffset, CurrentRotation
+from drive_id.core.full.effects.timing import CurrentLatency, FluxLag, Latency, LongFluxLag
+from drive_id.core.full.windows import LAGS
+
+CATALOGUE: dict[str, DriveEffect] = {
+    effect.name: effect
+    for effect in (
+        EddyCurrents("iron_loss", "iron_loss_conductance", "S"),
+        Hysteresis("hysteresis", "iron_loss_hysteresis", "S rad/s"),
+        Coercivity("coercivity", "iron_loss_current", "A"),
+        CurrentLatency("current_latency"),
+        Latency("angle_latency"),
+        FluxLag("flux_lag"),
+        *(LongFluxLag(f"flux_lag_{1e3 * lag:g}ms", lag) for lag in LAGS),
+        CopperHeating("copper_heating"),
+        MagnetHeating("magnet_heating"),
+        CopperRecordings("copper_recordings"),
+        MagnetRecordings("magnet_recordings"),
+        Eccentricity("eccentricity"),
+        EccentricRotor("eccentric_rotor"),
+        ResolverOrder("resolver_first", 1),
+        ResolverOrder("resolver_second", 2),
+        DcLink("dc_link"),
+        LinkRipple("link_ripple"),
+        LinkSag("link_sag"),
+        PhaseResistance("phase_resistance"),
+        VoltageGains("voltage_gains"),
+        CurrentRotation("current_rotation", "rad", slice(0, 1)),
+        CurrentGains("current_gains", "1", slice(1, 3), "current_gain_mismatch"),
+        CurrentOffset("current_offset", "A", slice(3, 5), "current_offset"),
+    )
+}
+"""By name, in the order of their columns."""

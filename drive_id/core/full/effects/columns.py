@@ -1,0 +1,198 @@
+"""The columns of all effects, linearized about an estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.between_samples import between_samples
+from drive_id.core.full.effects.catalogue import CATALOGUE
+from drive_id.core.full.effects.effect import Linearized, between
+from drive_id.core.full.effects.resolver import mechanical_waves
+from drive_id.core.full.model import EFFECT_COLUMNS, EFFECTS, RESISTANCE, FullModel, ModelSpec
+from drive_id.core.full.winding_heat import WindingHeat
+from drive_id.core.full.windows import WindowCutter, Windows
+from drive_id.core.maps.flux_models import jacobian
+from drive_id.types import FloatArray, Samples
+
+_MOST_POLE_PAIRS = 16
+"""Tried where the number is not known: as many as common machines have."""
+_BENDS = 0.1
+"""Of a cell of the map: a shift of the current by which a cubic spline keeps its slope within some percent."""
+
+
+@dataclass(frozen=True, eq=False)
+class EffectColumns:
+    """The columns of all effects, linearized about an estimate."""
+
+    model: FullModel
+    estimate: FloatArray  # (size,), see :class:`~drive_id.core.full.solver.FullSolution`
+    heat: float  # largest int i^2 dt within a recording, A^2 s, to which heating is relative
+    link: float  # mean DC-link voltage, V; NaN where it is not known
+    pole_pairs: int | None  # for the mechanical angle
+    ripple: float = 0.0  # frequency of a ripple of the DC link, Hz; 0 without
+    winding: WindingHeat | None = None  # course of its temperature; None: it gives off no heat
+
+    def __call__(self, windows: Windows) -> ComplexArray:
+        """Return the columns (N, EFFECT_COLUMNS) of N windows."""
+        at = self._at(windows)
+        out = np.zeros((len(windows), EFFECT_COLUMNS), np.complex128)
+        for name, effect in CATALOGUE.items():
+            for k, column in enumerate(effect.columns(at)):
+                out[:, EFFECTS[name].start + k] = column
+        out[:, EFFECTS["remainder"].start] = self._remainder(at)
+        return out
+
+    def _remainder(self, at: Linearized) -> ComplexArray:
+        """Return what the columns leave of the flux (N,) at the estimate, and what the current does between samples."""
+        windows, i_dq = at.windows, _as_complex(at.windows.i_dq)
+        remainder = between_samples(self.model, self.estimate, windows, at.psi)
+        shift, error = self._shift(at), np.zeros(i_dq.shape)
+        for name, value in self._present():
+            shift = shift + CATALOGUE[name].magnetizing(at, value)
+            error = error + CATALOGUE[name].turned(at, value)
+        if shift.any() or error.any():
+            further = shift if windows.moved is None else shift - windows.moved
+            late = np.maximum(float(self._value("current_latency")[0]) * np.abs(windows.speed), 0.0)
+            ahead = np.exp(1j * error)
+            changed = self._flux((i_dq + further) * ahead.conj(), windows.angle + error)[0]
+            ripple = 0.5 * np.square(late) * (at.psi - at.through(i_dq))
+            left = at.turn * (ahead * changed - at.psi - at.through(shift) - ripple) - error * at.tilt
+            remainder = remainder + between(left)
+        return remainder
+
+    def _present(self) -> list[tuple[str, FloatArray]]:
+        """Return the effects that are in the estimate, with their values."""
+        return [(name, value) for name in CATALOGUE if (value := self._value(name)).any()]
+
+    def _at(self, windows: Windows) -> Linearized:
+        model, turn = self.model, np.exp(1j * windows.angle)
+        i_dq, i_s = _as_complex(windows.i_dq), windows.measured * turn
+        resistance, through = float(self.estimate[RESISTANCE]), self._jacobian(windows)
+        psi, by_angle = self._flux(i_dq, windows.angle)
+        image, unit = windows.current.conj(), windows.duration.astype(np.complex128)
+        read = np.stack([1j * windows.current, image, 1j * image, unit, 1j * unit])
+        heat = windows.heat / max(self.heat, 1e-12)
+        return Linearized(
+            windows=windows,
+            currents=windows.measured,
+            turn=turn,
+            psi=psi,
+            tilt=turn * (1j * psi + by_angle - through(1j * i_dq)),
+            induced=(windows.held - resistance * i_s - self._drop(i_s, windows)) / turn,
+            through=through,
+            mean_flux=self._mean_flux,
+            dropped=resistance * read
+            + windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, model.coarse_drop(self.estimate)),
+            heat=heat,
+            warmth=heat if self.winding is None else self.winding(windows),
+            link=self.link,
+            pole_pairs=self.pole_pairs,
+            ripple=self.ripple,
+        )
+
+    def likely_pole_pairs(self, windows: Windows) -> int:
+        """Return the number of pole pairs at which resolver eccentricity reduces the residuals most."""
+        at = self._at(windows)
+        left, weights = self.model.residuals(windows, self.estimate).T.ravel(), np.sqrt(windows.weights)[:, None]
+        shares = {}
+        for pairs in range(2, _MOST_POLE_PAIRS + 1):
+            waves = at.in_runs(mechanical_waves(windows, pairs))
+            z = weights * np.stack([between(at.tilt * wave) for wave in waves], axis=1)
+            rows = np.concatenate([z.real, z.imag])
+            shares[pairs] = float(np.sum((rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]) ** 2))
+        return max(shares, key=lambda pairs: shares[pairs])
+
+    def _value(self, name: str) -> FloatArray:
+        return self.estimate[self.model.effect(name)]
+
+    def _jacobian(self, windows: Windows) -> Callable[[ComplexArray], ComplexArray]:
+        """Return the function f'(i) x of x (N, 2)."""
+        flat = windows.i_dq.reshape(-1, 2)
+        slopes = jacobian(self.model.flux, self.estimate[self.model.map], flat).reshape(len(windows), 2, 2, 2)
+        d, q = (slopes[..., 0, k] + 1j * slopes[..., 1, k] for k in (0, 1))
+        return lambda x: np.asarray(d * x.real + q * x.imag)
+
+    def bends(self, spec: ModelSpec, kept: Sequence[Windows]) -> bool:
+        """Tell whether the effects of a variant move a current by so much that the slope of the map there differs."""
+        cells = self.model.resolution
+        least = _BENDS * min(float(np.diff(cells.d).min()), float(np.diff(cells.q).min()))
+        return bool(spec.effects) and any(
+            float(np.abs(self._shift(self._at(windows))).max(initial=0.0)) > least for windows in kept
+        )
+
+    def moved(self, windows: Windows) -> Windows:
+        """Return windows whose currents ``i_dq`` are those in the map at the estimate, where the map reaches them.
+
+        About them the flux is linear in all unknowns to first order, so that the normal equations are those of the
+        nonlinear fit even where an effect moves the current by more than the map bends over, as iron loss does in a
+        machine whose bridges saturate at small currents.
+        """
+        measured, shift = windows.measured, self._shift(self._at(windows))
+        inside = self.model.contains(replace(windows, i_dq=frames.as_pairs(measured + shift)))
+        shift = np.where(inside[:, None], shift, 0.0)
+        return replace(windows, i_dq=frames.as_pairs(measured + shift), moved=shift, effects=None)
+
+    def _shift(self, at: Linearized) -> ComplexArray:
+        """Return by how much the effects at the estimate move the currents (N, 2) in the map, A."""
+        moving = [CATALOGUE[name].shifted(at, value) for name, value in self._present()]
+        return np.asarray(sum(moving, np.zeros(at.turn.shape)), np.complex128)
+
+    def voltages(self, recordings: Sequence[Samples], length: int) -> list[FloatArray]:
+        """Return the phase voltages (N, 3) caused by the effects of the drive, V.
+
+        Without those of its current sensors, and without those whose phase holds for the recorded runs only.
+
+        Parameters
+        ----------
+        recordings : sequence of Samples
+            The whole ones, unless the estimate has no effect ``of_recordings``.
+        length : int
+            Samples over which the voltage is averaged.
+        """
+        cutter, out, estimate = WindowCutter(self.model.shapes), [], self.estimate.copy()
+        for name, effect in CATALOGUE.items():
+            if effect.of_sensors or effect.of_recorded_runs:
+                estimate[self.model.effect(name)] = 0.0
+        of_drive = replace(self, estimate=estimate)
+        for number, samples in enumerate(recordings):
+            cutter.restart(0.0, number)
+            voltage = np.zeros(len(samples), np.complex128)
+            for start, windows in cutter.adjacent(samples, length):
+                taken = of_drive(windows) @ estimate[self.model.effects] / windows.duration
+                voltage[start : start + length * len(taken)] = np.repeat(taken, length)
+            out.append(frames.phases(voltage))
+        return out
+
+    def _flux(self, i_dq: ComplexArray, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return f(i, theta) and its derivative by theta (N, 2), Wb, at currents, A, and angles (N, 2), rad."""
+        psi, by_angle = self._mean_flux(i_dq), np.zeros_like(i_dq)
+        harmonic = self.model.harmonic.rows(frames.as_pairs(i_dq.ravel()))
+        for order, columns in self.model.harmonics.items():
+            halves = np.split(self.estimate[columns], 2)
+            if self.estimate[columns].any():
+                a, b = ((harmonic.dot(half) @ np.array([1.0, 1j])).reshape(at.shape) for half in halves)
+                cosine, sine = np.cos(order * at), np.sin(order * at)
+                psi, by_angle = psi + a * cosine + b * sine, by_angle + order * (b * cosine - a * sine)
+        return psi, by_angle
+
+    def _mean_flux(self, i_dq: ComplexArray) -> ComplexArray:
+        """Return f(i) (N, 2) at currents (N, 2), A, in Wb."""
+        psi = self.model.flux.rows(frames.as_pairs(i_dq.ravel())).dot(self.estimate[self.model.map])
+        return np.asarray((psi @ np.array([1.0, 1j])).reshape(i_dq.shape))
+
+    def _drop(self, i_s: ComplexArray, windows: Windows) -> ComplexArray:
+        """Return the inverter's drop at the ends (N, 2) in the stator frame, V."""
+        model = self.model
+        shapes = model.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
+        drops = np.einsum("nps,sp->np", shapes, self.estimate[model.phase_columns()])
+        return np.asarray(frames.space_vector(drops).reshape(i_s.shape) * windows.drop_scale[:, None])
+
+
+def _as_complex(pairs: FloatArray) -> ComplexArray:
+    """Return d + jq (...,) of pairs (..., 2)."""
+    return np.asarray(pairs[..., 0] + 1j * pairs[..., 1])

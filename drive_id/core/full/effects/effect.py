@@ -1,0 +1,199 @@
+"""What an effect of a real drive is: its columns of the regression, what physics allows, and how it is reported."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.windows import Windows
+from drive_id.messages import Message
+from drive_id.types import FloatArray
+
+MOST_RUNS, MOST_RECORDINGS = 4, 8
+"""Most runs with separate mechanical angles, and most recordings with separate temperatures."""
+VOLTAGE_MISMATCH = "voltage_gain_mismatch"
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """One estimated effect or sensor fault."""
+
+    name: str
+    value: float  # estimate, and below its standard error
+    sigma: float
+    unit: str
+    applied: bool  # whether the signals are corrected by it
+    message: Message  # the finding, and the reason if it was not applied
+    doubtful: bool = False  # the data contradict this fault, or it is too large to be corrected
+
+
+def between(x: ComplexArray) -> ComplexArray:
+    """Return the differences (N,) between the ends of windows (N, 2)."""
+    return np.asarray(x[:, 1] - x[:, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class Linearized:
+    """N windows and what an estimate says of their ends, about which effects are linearized."""
+
+    windows: Windows
+    currents: ComplexArray  # (N, 2), measured in the rotor frame, A
+    turn: ComplexArray  # (N, 2), e^{j theta}
+    psi: ComplexArray  # (N, 2), f, Wb
+    tilt: ComplexArray  # (N, 2), change of the stator's flux by an error of the angle, Wb
+    induced: ComplexArray  # (N, 2), voltage e in the rotor frame, V
+    through: Callable[[ComplexArray], ComplexArray]  # f'(i) x of x (N, 2)
+    mean_flux: Callable[[ComplexArray], ComplexArray]  # f(i), averaged over the rotor position
+    dropped: FloatArray  # (K, N), voltage in which each error of the current sensors is read, Vs
+    heat: FloatArray  # (N,), relative to the largest within a recording
+    warmth: FloatArray  # (N,), rise of the winding's temperature, likewise
+    link: float  # mean DC-link voltage, V; NaN where it is not known
+    pole_pairs: int | None
+    ripple: float  # Hz; 0 without
+
+    @cached_property
+    def leading(self) -> ComplexArray:
+        """Flux (N, 2) that does not lag, Wb."""
+        return self.mean_flux(self.windows.lagging[..., -1])
+
+    def of_recordings(self) -> list[FloatArray]:
+        """Tell for each recording but the first which windows are of it."""
+        return [self.windows.recording == k + 1 for k in range(MOST_RECORDINGS - 1)]
+
+    def in_runs(self, waves: Sequence[FloatArray | ComplexArray]) -> list[Any]:
+        """Return waves (N,) or (N, 2) in each run, as columns of their own."""
+        runs = [self.windows.run == k for k in range(MOST_RUNS)]
+        return [wave * (run[:, None] if wave.ndim > 1 else run) for run in runs for wave in waves]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What is known of recordings, which decides on the effects that they can show."""
+
+    runs: int
+    recordings: int
+    link: bool  # whether the DC link was recorded
+    temperatures: bool  # whether temperatures are given
+    pole_pairs: bool  # whether their number is
+    sensors: bool  # whether faults of the current sensors are looked for
+
+
+@dataclass(frozen=True, eq=False)
+class Reported:
+    """An effect that was found, to be reported."""
+
+    value: FloatArray  # (K,), estimates of its columns
+    sigma: FloatArray  # (K,), their standard errors
+    sigma_of: Callable[[FloatArray], FloatArray]  # standard errors (L,) of combinations (K, L)
+    met: Callable[[int], bool]  # whether the data have any of a column
+    rivals: tuple[str, ...]
+    several_speeds: bool
+    resistance: float  # ohm
+    inductance: float  # d psi_d / d i_d at zero current, H
+    i_max: float
+    pole_pairs: int | None
+    ripple: float  # Hz
+    time_constant: float  # of the winding's heat, s; infinite where it stays
+
+    def entry(
+        self, name: str, value: float, sigma: float, unit: str, key: str = "", *, scale: float = 1.0, **more: Any
+    ) -> Calibration:
+        """Return a value and its standard error, shown in a unit of which an SI unit is ``scale``; ``more`` is told."""
+        rivals = ",".join(self.rivals) or None
+        told = {"value": value, "sigma": sigma, **more, "rivals": rivals, "several_speeds": self.several_speeds}
+        shown, doubtful = float(scale * value), rivals is not None or name == VOLTAGE_MISMATCH
+        return Calibration(name, shown, float(scale * sigma), unit, True, Message(key or name, **told), doubtful)
+
+    @cached_property
+    def amplitude(self) -> tuple[float, float]:
+        """Amplitude of cosine and sine, rms over the runs that have them, and its standard error."""
+        pairs, errors = self.value.reshape(-1, 2), self.sigma.reshape(-1, 2)
+        met = [k for k in range(len(pairs)) if self.met(2 * k)]
+        amplitude = np.sqrt(np.mean(np.sum(pairs[met] ** 2, axis=1)))
+        return float(amplitude), float(np.sqrt(np.mean(errors[met] ** 2) / len(met)))
+
+
+@dataclass(frozen=True)
+class DriveEffect:
+    """An effect that the model lacks: it changes the voltage balance of a window by known vectors times its unknowns.
+
+    A subclass gives its columns, or the currents that it adds to that of the map, or errors of the angle, from which
+    the columns follow. What makes several effects of one kind differ are the fields.
+    """
+
+    name: str
+    width: ClassVar[int] = 1
+    """Number of unknowns."""
+    turns: ClassVar[bool] = False
+    """Whether it turns the flux against the currents: at one speed, only the map's bends tell such effects apart."""
+    late: ClassVar[bool] = False
+    """Whether currents or angle are late. If both are by the same time, the voltages are early by it: data hold one."""
+    rotates: ClassVar[bool] = False
+    """Whether, at one speed, it rotates the flux against the currents, or does so beside another one: data hold one."""
+    of_link: ClassVar[bool] = False
+    """Whether it is a variation of the DC link, which resembles the misfit of a map."""
+    positive: ClassVar[bool] = False
+    """Whether physics allows no negative value."""
+    at_rest: ClassVar[bool] = False
+    """Whether it shows while the rotor stands still."""
+    of_recordings: ClassVar[bool] = False
+    """Whether it depends on the number of a recording or a run, or on the time since the start."""
+    of_sensors: ClassVar[bool] = False
+    """Whether it is of the current sensors, not of the drive."""
+    of_recorded_runs: ClassVar[bool] = False
+    """Whether its phase holds for the recorded runs only, so that no simulation can have it."""
+    beside: ClassVar[str] = ""
+    """Effect beside which alone it is tried."""
+    cause: ClassVar[str] = ""
+    """Physical cause that it shares with others, which are no rivals."""
+    price: ClassVar[float] = 0.0
+    """Share of the squared residuals that it must save beyond what each effect must: others would be it."""
+    harmonic: ClassVar[int] = 0
+    """Order of the flux that it causes, and that is none of the machine beside it."""
+
+    @property
+    def family(self) -> str:
+        """Its cause, or itself."""
+        return self.cause or self.name
+
+    def possible(self, _: Recorded) -> bool:
+        """Tell whether recordings can show it."""
+        return True
+
+    def plausible(self, value: float, _turn: float, _period: float) -> bool:
+        """Tell whether its first value is physically possible, with the angle per sample, rad, and the period, s."""
+        return not self.positive or value >= 0
+
+    def shifts(self, _: Linearized) -> list[ComplexArray]:
+        """Return the currents (N, 2) that it adds to that of the map, per unit."""
+        return []
+
+    def waves(self, _: Linearized) -> list[FloatArray]:
+        """Return the errors of the angle (N, 2) per unit."""
+        return []
+
+    def magnetizing(self, at: Linearized, _: FloatArray) -> FloatArray:
+        """Return the current (N, 1) that stands for the change of a magnet by values (K,) of it, A."""
+        return np.zeros((len(at.windows), 1))
+
+    def shifted(self, at: Linearized, value: FloatArray) -> ComplexArray:
+        """Return the current (N, 2) that values (K,) of it add to that of the map, A."""
+        return np.asarray(sum(shift * x for shift, x in zip(self.shifts(at), value, strict=False)), np.complex128)
+
+    def turned(self, at: Linearized, value: FloatArray) -> FloatArray:
+        """Return the error (N, 2) of the angle that values (K,) of it cause, rad."""
+        return np.asarray(sum(wave * x for wave, x in zip(self.waves(at), value, strict=False)), np.float64)
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:
+        """Return its columns (N,), Vs per unit; none where the data have none of it."""
+        by_current = [between(at.turn * at.through(shift)) for shift in self.shifts(at)]
+        return by_current + [between(at.tilt * wave) for wave in self.waves(at)]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:
+        """Yield its values with their standard errors."""
+        raise NotImplementedError

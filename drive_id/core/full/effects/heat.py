@@ -1,0 +1,115 @@
+"""Heat of winding and magnets, within a recording and from one to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.effects.effect import (
+    MOST_RECORDINGS,
+    Calibration,
+    DriveEffect,
+    Linearized,
+    Recorded,
+    Reported,
+    between,
+)
+from drive_id.temperature import COPPER
+from drive_id.types import FloatArray
+
+
+@dataclass(frozen=True)
+class CopperHeating(DriveEffect):
+    """Rise of R over a recording: ``int i_s h dt``, h being the winding's temperature, see ``winding_heat.py``."""
+
+    at_rest, of_recordings = True, True
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [at.windows.current * at.warmth]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        told, key = _relative(found, found.value[0]), "resistance_rise"
+        if np.isfinite(found.time_constant):
+            key, told = f"{key}.settling", {**told, "constant": found.time_constant}
+        yield found.entry("resistance_rise", found.value[0], found.sigma[0], "ohm", key, **told)
+
+
+@dataclass(frozen=True)
+class CopperRecordings(DriveEffect):
+    """R of each recording minus that of the first: ``int i_s``."""
+
+    width = MOST_RECORDINGS - 1
+    at_rest, of_recordings = True, True
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return 1 < known.recordings <= MOST_RECORDINGS and not known.temperatures
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [at.windows.current * own for own in at.of_recordings()]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        for k, (x, dx) in enumerate(zip(found.value, found.sigma, strict=True)):
+            if found.met(k):
+                name, told = f"resistance_change_{k + 2}", _relative(found, x)
+                yield found.entry(name, x, dx, "ohm", "resistance_change", recording=k + 2, **told)
+
+
+def _relative(found: Reported, x: float) -> dict[str, float]:
+    change = x / found.resistance
+    return {"change": change, "kelvin": change / COPPER}
+
+
+@dataclass(frozen=True)
+class MagnetHeating(DriveEffect):
+    """Change over a recording of psi_d and of the current that stands for the magnet, with the heat.
+
+    Columns ``h [e^{j theta}]`` and ``h [e^{j theta} f'(i)]``.
+    """
+
+    width, of_recordings = 2, True
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [column * at.heat for column in _of_magnet(at)]
+
+    def magnetizing(self, at: Linearized, value: FloatArray) -> FloatArray:  # noqa: D102
+        return np.asarray(value[1] * at.heat[:, None])
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        for _, x, dx in _magnet_changes(found):
+            yield found.entry("magnet_flux_change", x, dx, "Wb")
+
+
+@dataclass(frozen=True)
+class MagnetRecordings(MagnetHeating):
+    """The same of each recording minus that of the first."""
+
+    width = 2 * (MOST_RECORDINGS - 1)
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return 1 < known.recordings <= MOST_RECORDINGS and not known.temperatures
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [column * own for own in at.of_recordings() for column in _of_magnet(at)]
+
+    def magnetizing(self, at: Linearized, value: FloatArray) -> FloatArray:  # noqa: D102
+        return np.asarray(value[1::2] @ np.array(at.of_recordings(), np.float64))[:, None]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        for k, x, dx in _magnet_changes(found):
+            name, key = f"magnet_flux_change_{k + 2}", "magnet_flux_change.recording"
+            yield found.entry(name, x, dx, "Wb", key, recording=k + 2)
+
+
+def _of_magnet(at: Linearized) -> list[ComplexArray]:
+    return [between(at.turn), between(at.turn * at.through(np.ones_like(at.turn)))]
+
+
+def _magnet_changes(found: Reported) -> Iterator[tuple[int, float, float]]:
+    """Yield the changes of psi_d at zero current, by flux and by the current of the magnet: number, value and error."""
+    forms = np.asarray(np.kron(np.eye(len(found.value) // 2), [[1.0], [found.inductance]]), np.float64)
+    for k, (x, dx) in enumerate(zip(forms.T @ found.value, found.sigma_of(forms), strict=True)):
+        if found.met(2 * k):
+            yield k, x, dx

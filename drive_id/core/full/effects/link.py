@@ -1,0 +1,85 @@
+"""Voltages that follow the DC link."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.effects.effect import MOST_RUNS, Calibration, DriveEffect, Linearized, Recorded, Reported
+from drive_id.core.full.windows import Windows
+
+
+@dataclass(frozen=True)
+class DcLink(DriveEffect):
+    """Share of the recorded link's variation that acts on the voltages: ``-int u_s (u_dc / mean - 1) dt``."""
+
+    at_rest = True
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return known.link
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [-np.nan_to_num(at.windows.link / at.link - at.windows.voltage)] if np.isfinite(at.link) else []
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield found.entry("dc_link_share", found.value[0], found.sigma[0], "1")
+
+
+@dataclass(frozen=True)
+class LinkRipple(DriveEffect):
+    """Cosine and sine of a ripple of the link that was not recorded, relative, in each run.
+
+    The voltages exceed those commanded by the share ``a cos 2 pi f t + b sin 2 pi f t``; the phase is unknown after a
+    gap.
+    """
+
+    width = 2 * MOST_RUNS
+    of_link, at_rest, of_recordings, of_recorded_runs = True, True, True, True
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return known.runs <= MOST_RUNS and not known.link
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return at.in_runs(ripple_columns(at.windows)(at.ripple).T) if at.ripple else []
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield found.entry("link_ripple", *found.amplitude, "1", frequency=found.ripple)
+
+
+@dataclass(frozen=True)
+class LinkSag(DriveEffect):
+    """Relative fall of the link per power p that is taken: ``int u_s p``."""
+
+    of_link, at_rest, positive = True, True, True
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return not known.link
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [at.windows.loaded]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield found.entry("link_sag", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
+
+
+def ripple_columns(windows: Windows) -> Callable[[float], ComplexArray]:
+    """Return the function of a frequency, Hz, that gives the columns (N, 2) of cosine and sine of a ripple, Vs.
+
+    The voltage in the rotor frame is taken as constant over a window, so that its integral is known.
+    """
+    speed, duration = windows.speed.mean(axis=1), windows.duration
+    u_dq = np.mean(windows.held * np.exp(-1j * windows.angle), axis=1)
+    middle = u_dq * np.exp(1j * (windows.angle[:, 0] + 0.5 * speed * duration)) * duration
+    at = windows.time + 0.5 * duration
+
+    def columns(frequency: float) -> ComplexArray:
+        turns = 2 * np.pi * frequency
+        turned = np.exp(1j * turns * at)
+        ahead, behind = (np.sinc((speed + sign * turns) * duration / (2 * np.pi)) for sign in (1, -1))
+        sides = middle * turned * ahead, middle * turned.conj() * behind
+        return np.stack([-0.5 * (sides[0] + sides[1]), 0.5j * (sides[0] - sides[1])], axis=1)
+
+    return columns

@@ -1,0 +1,48 @@
+"""Phases that differ: their resistances, and the gains of their voltages."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drive_id.core import frames
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.effects.effect import VOLTAGE_MISMATCH, Calibration, DriveEffect, Linearized, Reported
+
+
+@dataclass(frozen=True)
+class PhaseResistance(DriveEffect):
+    """R of the phases a and b above the mean, c below it: of ``int i_a``, ``int i_b`` and ``int i_c``."""
+
+    width = 2
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        i_a, i_b, i_c = 2 / 3 * (frames.phases(at.windows.current) * np.exp(1j * frames.PHASE_SHIFTS)).T
+        return [i_a - i_c, i_b - i_c]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        values, sigmas = (*found.value, -found.value.sum()), (*found.sigma, np.hypot(*found.sigma))
+        for phase, (x, dx) in enumerate(zip(values, sigmas, strict=True)):
+            yield found.entry(f"resistance_{'abc'[phase]}", x, dx, "ohm", "resistance_of_phase", phase=phase)
+
+
+@dataclass(frozen=True)
+class VoltageGains(DriveEffect):
+    """Mismatch g of the voltages' gains, complex, the voltage being u + g conj(u): ``-conj(int u_s)``.
+
+    A phase k with the gain 1 + e has g = -e/3 e^{2j phi_k}.
+    """
+
+    width = 2
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [-at.windows.voltage.conj(), -1j * at.windows.voltage.conj()]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        g = complex(*found.value)
+        along = np.real(g * np.exp(-2j * frames.PHASE_SHIFTS))
+        phase = int(np.argmax(np.abs(along)))
+        sigma = float(np.linalg.norm(found.sigma))
+        yield found.entry(VOLTAGE_MISMATCH, abs(g), sigma, "1", phase=phase, off=-3 * along[phase])

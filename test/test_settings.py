@@ -159,6 +159,13 @@ def test_the_constructor_checks_bounds_without_naming_a_file():
         Everything(count=0)
 
 
+@pytest.mark.parametrize("order", [2, 97])
+def test_orders_of_harmonics_lie_from_three_to_96(order):
+    assert FitSettings(harmonic_orders=(3, 96)).harmonic_orders == (3, 96)
+    with pytest.raises(ConfigurationError, match=f"harmonic_orders is {order}: it must be at least 3 and at most 96"):
+        FitSettings(harmonic_orders=(6, order))
+
+
 def test_numbers_of_numpy_are_numbers():
     assert Everything(size=np.float64(2.0)).size == 2.0
     with pytest.raises(ConfigurationError, match="finite"):

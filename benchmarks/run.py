@@ -14,7 +14,6 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: before numpy is loaded
 
-import fitting
 import fleet
 import nodes
 import processes
@@ -37,7 +36,6 @@ def parts(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], S
         "process": lambda: processes.against_plain(folder, repeats),
         "cold": lambda: processes.cold(folder, repeats),
         "growth": lambda: processes.growth(folder, lengths, repeats),
-        "fit": lambda: fitting.section(repeats),
         "start": lambda: processes.start_up(folder, repeats),
         "live": lambda: streams.section(folder, repeats, 1.0 if options.quick else 10.0),
         "nodes": lambda: nodes.section(repeats),
@@ -57,7 +55,7 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description="Measure drive_id against stated baselines.")
     parser.add_argument(
-        "--only", default="", help="names of parts, with commas: process,cold,growth,fit,start,live,nodes,safety,fleet"
+        "--only", default="", help="names of parts, with commas: process,cold,growth,start,live,nodes,safety,fleet"
     )
     parser.add_argument(
         "--hour", nargs="?", type=float, const=HOUR, metavar="SECONDS",

@@ -88,8 +88,7 @@ MAKE = {
     "endure ARGS='--only kills --rounds 30 --seed 7'": "--rounds 1",
     "endure ARGS='--only live --minutes 62'": "--minutes 0.05",
     "endure ARGS='--only requests --requests 1000 --seed 21'": "--requests 3",
-    "endure ARGS='--only soak --hours 0.8 --minutes 1.5'": "--hours 0.002 --minutes 0.1",
-    "endure ARGS='--only soak --in-process --method joint --hours 8 --minutes 15'": "--hours 0.01 --minutes 0.1",
+    "endure ARGS='--only soak --method joint --hours 8 --minutes 15'": "--hours 0.01 --minutes 0.1",
 }
 """What ``make`` is called with on the pages and in its help, and further options that shorten it."""
 MAKE_ELSEWHERE = {
@@ -112,7 +111,6 @@ ALONE = {
     "safety ARGS='--rounds 0 --scripts 200'": _STATED,
     "endure ARGS='--only kills --rounds 30'": _IN_FLIGHT,
     "endure ARGS='--only kills --rounds 30 --seed 7'": _IN_FLIGHT,
-    "endure ARGS='--only soak --hours 0.8 --minutes 1.5'": "an hour takes two minutes: what comes late is lost",
 }
 """What has limits in real time needs the machine alone: DRIVE_ID_ALONE=1 make test-all JOBS=0 ARGS='-k make_is'."""
 _SAME = re.compile(r"coverage ARGS='test/core test/files test/inspection ")  # other paths of tests

@@ -71,10 +71,7 @@ def fit(stamp: Any, i_abc: Any, u_abc: Any, angle: Any, speed: Any) -> tuple[flo
     total = (omega * period / 2)[:, None] * (b[1:] + b[:-1])
     change = b[1:] - b[:-1]
     rows = np.concatenate(
-        [
-            np.hstack([q1[:, :1], q4[:, :1], change, -total]),
-            np.hstack([q1[:, 1:], q4[:, 1:], total, change]),
-        ]
+        [np.hstack([q1[:, :1], q4[:, :1], change, -total]), np.hstack([q1[:, 1:], q4[:, 1:], total, change])]
     )
     x = np.linalg.lstsq(rows, v.T.ravel(), rcond=None)[0]
     return float(x[0]), float(x[1]), x[2:]

@@ -96,10 +96,7 @@ def test_values_are_taken(name, given, expected):
 @pytest.mark.parametrize(
     ("mapping", "said"),
     [
-        (
-            {"flags": True},
-            "sets 'flags', which does not exist: did you mean 'flag'? the settings are flag, count,",
-        ),
+        ({"flags": True}, "sets 'flags', which does not exist: did you mean 'flag'? the settings are flag, count,"),
         ({1: True}, "sets '1'"),
         ({None: True}, "sets 'None'"),
         ({"flag": 1}, "'flag' in file.yaml is 1: it must be true or false."),

@@ -833,11 +833,7 @@ def test_a_report_is_refused_in_one_sentence(run, fitted, monkeypatch):
     said = "diagnostics.npz is damaged (diagnostics.npz was not written with its identification.json"
     assert_one_sentence(run("report", "results", "--output", "r.html"), said)
     assert tree(Path()) == sorted(
-        [
-            "notes.html",
-            "results",
-            *(f"results/{name}" for name in RESULTS if "harm" not in name),
-        ]
+        ["notes.html", "results", *(f"results/{name}" for name in RESULTS if "harm" not in name)]
     )
 
 

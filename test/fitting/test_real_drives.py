@@ -73,10 +73,7 @@ CASES = {
     ),
     "hysteresis of constant coercivity": Case(({"iron_hysteresis": 3.0},), {"iron_loss_current": 3.0}),
     "late angle": Case((BOTH_WAYS | {"resolver_latency": 3e-5},), {"angle_latency": 30.0}),
-    "current filter": Case(
-        (BOTH_WAYS | {"current_filter": 5000.0},),
-        {"current_latency": 1e6 / (2 * np.pi * 5000.0)},
-    ),
+    "current filter": Case((BOTH_WAYS | {"current_filter": 5000.0},), {"current_latency": 1e6 / (2 * np.pi * 5000.0)}),
     "heating": Case(
         ({"copper_heat_capacity": 300.0, "magnet_heat_capacity": 500.0},),
         {

@@ -139,11 +139,7 @@ def stronger_reciprocal(i_dq):
     return 1.2 * reciprocal_flux(i_dq)
 
 
-FULL = {
-    "the same": (0.010, reciprocal_flux),
-    "more": (0.0115, reciprocal_flux),
-    "other": (0.010, stronger_reciprocal),
-}
+FULL = {"the same": (0.010, reciprocal_flux), "more": (0.0115, reciprocal_flux), "other": (0.010, stronger_reciprocal)}
 
 
 @pytest.fixture(scope="module")

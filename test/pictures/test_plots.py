@@ -20,12 +20,7 @@ from drive_id.messages import Message
 from drive_id.pictures.caption import Caption
 from drive_id.pictures.diagnostics import draw_diagnostics
 from drive_id.pictures.panels import Disc, levels
-from drive_id.pictures.plots import (
-    draw_flux_maps,
-    rendered,
-    result_pictures,
-    trajectory,
-)
+from drive_id.pictures.plots import draw_flux_maps, rendered, result_pictures, trajectory
 
 NAMES = ["diagnostics.png", "flux_map.png"]
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

@@ -1,11 +1,10 @@
-"""Errors of analyses of fitted maps, the coverage of their 95 % bands, and a comparison with SyR-e's loci.
+"""Errors of analyses of fitted maps, and the coverage of their 95 % bands.
 
 Usage: python benchmarks/analysis.py [--machines FOLDER] [--seeds N] [--only NAME,...] [--write]
 
 Each drive is simulated for 10 s at 500 rpm with noise of 0.1 % of i_max, and fitted with default settings. FOLDER holds
-machine files that are not part of this repository, ``thor_fem_harmonic_map.npz`` and ``baldor_meas_map.npz``, and the
-loci that SyR-e computed for THOR, ``thor_MTPA_syre.npz`` and ``thor_MTPV_syre.npz``. ``--write`` puts the figures into
-docs/analysis.md. They do not depend on the computer.
+machine files that are not part of this repository, ``thor_fem_harmonic_map.npz`` and ``baldor_meas_map.npz``.
+``--write`` puts the figures into docs/analysis.md. They do not depend on the computer.
 """
 
 from __future__ import annotations
@@ -19,11 +18,9 @@ import numpy as np
 from reporting import printed, write_between
 
 from drive_id.analysis.machine import MachineModel
-from drive_id.analysis.trajectories import CurrentLocus, mtpa, mtpv
+from drive_id.analysis.trajectories import CurrentLocus, mtpa
 from drive_id.bench.machine import Machine
 from drive_id.bench.settings import SimulationSettings
-from drive_id.exchange.imports.importing import import_map
-from drive_id.exchange.imports.source import Source
 from drive_id.fitting.fit import fit
 from drive_id.fitting.simulated import load_machine, run_experiment
 from drive_id.types import FloatArray
@@ -39,8 +36,6 @@ COLUMNS = (
     "Machine", "Largest torque error", "Rms torque error", "Largest MTPA angle error", "Torque coverage",
     "L_dd coverage", "L_qq coverage", "L_dq coverage", "MTPA angle coverage",
 )  # fmt: skip
-SYRE_POINTS = 256
-"""Points of SyR-e's grid: along i_d over its whole range, along i_q from 0."""
 PAGE = Path(__file__).parent.parent / "docs" / "analysis.md"
 _STEP = 1e-3
 _SCAN = np.deg2rad(0.05)
@@ -148,68 +143,6 @@ def row(name: str, found: Sequence[Figures]) -> str:
     return f"| {' | '.join((name, *errors, angle, *bands))} |"
 
 
-def grid_locus(model: MachineModel, i_d: FloatArray, i_q: FloatArray, levels: FloatArray) -> FloatArray:
-    """Return i_d, i_q and torque (N, 3) at the largest torque on contours of the flux amplitude, as SyR-e finds them.
-
-    A contour consists of its crossings with the edges of a grid, where flux and torque are interpolated linearly.
-
-    Parameters
-    ----------
-    model : MachineModel
-    i_d, i_q : (D,), (Q,) float
-        Grid, A.
-    levels : (N,) float
-        Flux amplitudes, Wb.
-    """
-    d, q = np.meshgrid(i_d, i_q, indexing="ij")
-    values = np.stack([d, q, model.torque(d, q), np.hypot(*model.psi_dq(d, q))], axis=-1)
-    edges = [(values[:-1], values[1:]), (values[:, :-1], values[:, 1:])]
-    start, end = (np.concatenate([pair[k].reshape(-1, 4) for pair in edges]) for k in (0, 1))
-    out = []
-    for level in levels:
-        met = (start[:, 3] - level) * (end[:, 3] - level) < 0
-        first, last = start[met], end[met]
-        share = ((level - first[:, 3]) / (last[:, 3] - first[:, 3]))[:, None]
-        points = first + share * (last - first)
-        out.append(points[points[:, 2].argmax(), :3])
-    return np.array(out)
-
-
-def against_syre(folder: Path) -> Iterator[str]:
-    """Yield sentences on the loci that SyR-e computed from the same map."""
-    model = MachineModel.of(import_map(Source(folder / FILES["THOR"][0])))
-    reach = float(model.flux_map.i_d[-1])
-    with np.load(folder / "thor_MTPA_syre.npz") as file:
-        known = {key: file[key] for key in ("id", "iq", "T")}
-    current = np.hypot(known["id"], known["iq"])
-    found = mtpa(model, float(current[-1]), 401)
-    large = known["T"] > 0.01 * known["T"].max()
-    error = np.abs(np.interp(current, found.current, found.torque) / known["T"] - 1)[large].max()
-    yield f"- MTPA: torque at equal current differs by at most {100 * error:.2f} %."
-    with np.load(folder / "thor_MTPV_syre.npz") as file:
-        known = {key: file[key] for key in ("id", "iq", "psi_d", "psi_q", "T")}
-    flux, current = np.hypot(known["psi_d"], known["psi_q"]), np.hypot(known["id"], known["iq"])
-    ours = mtpv(model, reach, 2001)
-    at_flux = np.abs(np.interp(flux, np.hypot(ours.psi_d, ours.psi_q), ours.torque) / known["T"] - 1)
-    at_current = np.abs(np.interp(current, ours.current, ours.torque) / known["T"] - 1)
-    number = np.arange(len(flux))
-    levels = np.asarray(
-        np.polyval(np.polyfit(number[1:], flux[1:], 1), number), np.float64
-    )  # equally spaced; the first one is too coarse
-    i_d, i_q = np.linspace(-reach, reach, SYRE_POINTS), np.linspace(0.0, reach, SYRE_POINTS)
-    locus = grid_locus(model, i_d, i_q, levels)
-    same = np.abs(locus[:, 2] / known["T"] - 1).max()
-    apart = np.abs(locus[:, :2] - np.stack([known["id"], known["iq"]], axis=1)).max()
-    yield (
-        f"- MTPV: torque at equal flux differs by at most {100 * at_flux.max():.2f} %, at equal current by up to "
-        f"{100 * at_current.max():.0f} % ({100 * at_current[current > 50.0].max():.1f} % above 50 A)."
-    )
-    yield (
-        f"- SyR-e's MTPV procedure applied to our imported map: torque within {100 * same:.2f} % and currents within "
-        f"{apart:.3f} A of SyR-e's points."
-    )
-
-
 def lines(options: argparse.Namespace) -> Iterator[str]:
     """Yield the lines of the output."""
     folder = options.machines
@@ -219,9 +152,6 @@ def lines(options: argparse.Namespace) -> Iterator[str]:
         yield row(
             f"`{name}`" if name in SHIPPED else name, [judged(*drives[name], seed) for seed in range(options.seeds)]
         )
-    if folder and not options.only:
-        yield ""
-        yield from against_syre(folder)
 
 
 def main() -> None:

@@ -45,91 +45,40 @@ Bomb = Callable[[Path, Path], tuple[str, ...]]
 _FIT = ("--output", "out", *JOINT)
 
 
-def _fifo_metadata(_: Path, folder: Path) -> tuple[str, ...]:
-    (folder / "bag").mkdir()
-    os.mkfifo(folder / "bag" / "metadata.yaml")
-    (folder / "bag" / "bag_0.mcap").write_bytes(b"\x89MCAP0\r\n")
-    return ("info", "bag")
+def _odd(put: Callable[[Path], None], name: str, *words: str) -> Bomb:
+    """Return what puts something odd at a name, in a bag or in a result if it lies in a folder ``bag`` or ``r``."""
+
+    def make(corpus: Path, folder: Path) -> tuple[str, ...]:
+        path = folder / name
+        if path.parent.name == "r":
+            shutil.copytree(corpus / "result", path.parent)
+            path.unlink()
+        elif path.parent.name == "bag":
+            path.parent.mkdir()
+            (path.parent / "bag_0.mcap").write_bytes(b"\x89MCAP0\r\n")
+        put(path)
+        return tuple(str(corpus / "ours") if word == "OURS" else word for word in words)
+
+    return make
 
 
-def _fifo_bag(_: Path, folder: Path) -> tuple[str, ...]:
-    os.mkfifo(folder / "bag.mcap")
-    return ("fit", "bag.mcap", *_FIT)
+def _zero(path: Path) -> None:
+    path.symlink_to("/dev/zero")
 
 
-def _fifo_information(_: Path, folder: Path) -> tuple[str, ...]:
-    os.mkfifo(folder / "x.info")
-    return ("fit", "x.info", *_FIT)
+def _dangling(path: Path) -> None:
+    path.symlink_to("nowhere")
+    (path.parent / "bag_0.mcap").unlink()
+    (path.parent / "bag_0.mcap").symlink_to("nowhere")
 
 
-def _fifo_config(corpus: Path, folder: Path) -> tuple[str, ...]:
-    os.mkfifo(folder / "x.yaml")
-    return ("fit", str(corpus / "ours"), "--config", "x.yaml", *_FIT)
+def _sparse(head: bytes) -> Callable[[Path], None]:
+    def put(path: Path) -> None:
+        with path.open("wb") as stream:
+            stream.write(head)
+            stream.truncate(1 << 38)
 
-
-def _fifo_signals(corpus: Path, folder: Path) -> tuple[str, ...]:
-    os.mkfifo(folder / "x.yaml")
-    return ("fit", str(corpus / "ours"), "--signals", "x.yaml", *_FIT)
-
-
-def _fifo_machine(_: Path, folder: Path) -> tuple[str, ...]:
-    os.mkfifo(folder / "x.npz")
-    return ("simulate", "--machine", "x.npz", "--output", "bag")
-
-
-def _fifo_map(corpus: Path, folder: Path) -> tuple[str, ...]:
-    shutil.copytree(corpus / "result", folder / "r")
-    (folder / "r" / "flux_map.npz").unlink()
-    os.mkfifo(folder / "r" / "flux_map.npz")
-    return ("info", "r")
-
-
-def _fifo_marker(_: Path, folder: Path) -> tuple[str, ...]:
-    (folder / "r").mkdir()
-    os.mkfifo(folder / "r" / "identification.json")
-    return ("info", "r")
-
-
-def _fifo_output(corpus: Path, folder: Path) -> tuple[str, ...]:
-    os.mkfifo(folder / "x.info")
-    return ("accumulate", str(corpus / "ours"), "--output", "x.info")
-
-
-def _device_metadata(_: Path, folder: Path) -> tuple[str, ...]:
-    (folder / "bag").mkdir()
-    (folder / "bag" / "metadata.yaml").symlink_to("/dev/zero")
-    (folder / "bag" / "bag_0.mcap").write_bytes(b"\x89MCAP0\r\n")
-    return ("info", "bag")
-
-
-def _device_signals(corpus: Path, _: Path) -> tuple[str, ...]:
-    return ("fit", str(corpus / "ours"), "--signals", "/dev/zero", *_FIT)
-
-
-def _circular_link(_: Path, folder: Path) -> tuple[str, ...]:
-    (folder / "bag.mcap").symlink_to("bag.mcap")
-    return ("fit", "bag.mcap", *_FIT)
-
-
-def _dangling_link(_: Path, folder: Path) -> tuple[str, ...]:
-    (folder / "bag").mkdir()
-    (folder / "bag" / "metadata.yaml").symlink_to("nowhere")
-    (folder / "bag" / "bag_0.mcap").symlink_to("nowhere")
-    return ("fit", "bag", *_FIT)
-
-
-def _sparse_bag(_: Path, folder: Path) -> tuple[str, ...]:
-    with (folder / "bag.mcap").open("wb") as stream:
-        stream.write(b"\x89MCAP0\r\n" + struct.pack("<BQ", 5, 1 << 36))
-        stream.truncate(1 << 38)
-    return ("fit", "bag.mcap", *_FIT)
-
-
-def _sparse_information(_: Path, folder: Path) -> tuple[str, ...]:
-    with (folder / "x.info").open("wb") as stream:
-        stream.write(b"PK\3\4")
-        stream.truncate(1 << 38)
-    return ("fit", "x.info", *_FIT)
+    return put
 
 
 def _chunk(_: Path, folder: Path) -> tuple[str, ...]:
@@ -265,21 +214,23 @@ _LAUGHS += "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in r
 _MERGES = "b0: &b0 {x: 1}\n" + "".join(f"b{k}: &b{k} {{<<: [*b{k - 1}, *b{k - 1}]}}\n" for k in range(1, 40))
 
 BOMBS: dict[str, Bomb] = {
-    "fifo as metadata.yaml": _fifo_metadata,
-    "fifo as a bag": _fifo_bag,
-    "fifo as an information file": _fifo_information,
-    "fifo as settings": _fifo_config,
-    "fifo as a signals file": _fifo_signals,
-    "fifo as a machine file": _fifo_machine,
-    "fifo as flux_map.npz": _fifo_map,
-    "fifo as identification.json": _fifo_marker,
-    "fifo as the output": _fifo_output,
-    "metadata.yaml is /dev/zero": _device_metadata,
-    "a signals file is /dev/zero": _device_signals,
-    "a link to itself": _circular_link,
-    "dangling links": _dangling_link,
-    "a sparse bag of 256 GB": _sparse_bag,
-    "a sparse information file of 256 GB": _sparse_information,
+    "fifo as metadata.yaml": _odd(os.mkfifo, "bag/metadata.yaml", "info", "bag"),
+    "fifo as a bag": _odd(os.mkfifo, "bag.mcap", "fit", "bag.mcap", *_FIT),
+    "fifo as an information file": _odd(os.mkfifo, "x.info", "fit", "x.info", *_FIT),
+    "fifo as settings": _odd(os.mkfifo, "x.yaml", "fit", "OURS", "--config", "x.yaml", *_FIT),
+    "fifo as a signals file": _odd(os.mkfifo, "x.yaml", "fit", "OURS", "--signals", "x.yaml", *_FIT),
+    "fifo as a machine file": _odd(os.mkfifo, "x.npz", "simulate", "--machine", "x.npz", "--output", "bag"),
+    "fifo as flux_map.npz": _odd(os.mkfifo, "r/flux_map.npz", "info", "r"),
+    "fifo as identification.json": _odd(os.mkfifo, "r/identification.json", "info", "r"),
+    "fifo as the output": _odd(os.mkfifo, "x.info", "accumulate", "OURS", "--output", "x.info"),
+    "metadata.yaml is /dev/zero": _odd(_zero, "bag/metadata.yaml", "info", "bag"),
+    "a signals file is /dev/zero": _odd(_zero, "x.yaml", "fit", "OURS", "--signals", "x.yaml", *_FIT),
+    "a link to itself": _odd(lambda path: path.symlink_to(path.name), "bag.mcap", "fit", "bag.mcap", *_FIT),
+    "dangling links": _odd(_dangling, "bag/metadata.yaml", "fit", "bag", *_FIT),
+    "a sparse bag of 256 GB": _odd(
+        _sparse(b"\x89MCAP0\r\n" + struct.pack("<BQ", 5, 1 << 36)), "bag.mcap", "fit", "bag.mcap", *_FIT
+    ),
+    "a sparse information file of 256 GB": _odd(_sparse(b"PK\3\4"), "x.info", "fit", "x.info", *_FIT),
     "a chunk of 1 GB of zeros": _chunk,
     "200 chunks of 64 MB of zeros": _chunks,
     "a chunk of 4 million channels": _chunk_of_channels,

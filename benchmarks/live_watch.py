@@ -21,33 +21,17 @@ _LOOK = 10.0
 """Time between two looks at the memory, s."""
 _REPLY = 300.0
 """Longest wait for a reply after the end, s: other processes may have the cores."""
-_TELL = 600.0
-"""Time between lines that say how far it is, s."""
 PUBLISHER = "trajectory_publisher"
 _SETTINGS = {"i_max": 100.0, "speed_max": 400.0, "repeat": 0}
 
 
 @dataclass
 class Watched:
-    """What was seen of the nodes.
-
-    Parameters
-    ----------
-    times : list of float
-        Of each look, s from the start of the trajectory.
-    memory : dict
-        Resident memory of each node at each look, MB.
-    peaks : dict
-        Most memory that each node has held at any time, MB.
-    codes : Counter
-        Codes of the replies.
-    slowest : float
-        Longest time until a reply, s.
-    """
+    """What was seen of the nodes: memory of each, MB, at times, s; codes of replies, and the longest wait, s."""
 
     times: list[float] = field(default_factory=list)
     memory: dict[str, list[float]] = field(default_factory=dict)
-    peaks: dict[str, float] = field(default_factory=dict)
+    peaks: dict[str, float] = field(default_factory=dict)  # the most that it has held at any time
     codes: Counter[str] = field(default_factory=Counter)
     asked: int = 0
     slowest: float = 0.0
@@ -73,45 +57,38 @@ class Watched:
 class _Operator:
     """Keeps the trajectory running; a trip is noted and cleared, for a busy machine may cause one."""
 
-    def __init__(self, graph: Graph, watched: Watched) -> None:
-        self._graph, self._watched = graph, watched
-        self._state, self._reason = "", ""
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+        self._last = PublisherState()
         graph.node.create_subscription(PublisherState, f"/{PUBLISHER}/state", self._on_state, LATCHED)
 
     def _on_state(self, message: PublisherState) -> None:
-        self._state, self._reason = message.state, message.reason
+        self._last = message
 
     def start(self) -> None:
         """Start the trajectory, as soon as the drive allows it."""
-        said: list[Any] = []
 
         def started() -> bool:
             self._graph.call(Command, f"/{PUBLISHER}/clear_fault")
-            said.append(self._graph.call(StartExperiment, f"/{PUBLISHER}/start_experiment"))
-            return bool(said[-1] is not None and said[-1].success)
+            reply = self._graph.call(StartExperiment, f"/{PUBLISHER}/start_experiment")
+            return bool(reply is not None and reply.success)
 
         if not self._graph.wait(started):
-            raise SystemExit(f"The trajectory does not start: {said[-1].message if said[-1] else 'no answer'}")
+            raise SystemExit("The trajectory does not start.")
 
-    def attend(self) -> None:
-        """Start the trajectory again after a trip."""
-        if self._state == "tripped":
-            self._watched.trips.append(self._reason)
-            self._state = ""
+    def tripped(self) -> str:
+        """Start the trajectory again after a trip, and return its reason; empty without one."""
+        reason = str(self._last.reason) if self._last.state == "tripped" else ""
+        if reason:
+            self._last = PublisherState()
             self.start()
+        return reason
 
 
 def watch(minutes: float, folder: Path, method: str) -> Watched:
     """Run drive, publisher, recorder and identification, and request a fit of the live samples every half a minute.
 
-    Parameters
-    ----------
-    minutes : float
-        Duration, in real time.
-    folder : Path
-        Scratch space: an hour of recording takes some 1.5 GB.
-    method : str
-        Of the identification.
+    In real time; an hour of recording takes some 1.5 GB of the folder.
     """
     folder.mkdir()
     watched = Watched()
@@ -126,14 +103,14 @@ def watch(minutes: float, folder: Path, method: str) -> Watched:
                 {"i_max": 100.0, "method": method, "data_directory": data, "output_directory": folder / "results"},
             ),
         }
-        operator = _Operator(graph, watched)
+        operator = _Operator(graph)
         graph.call(StartRecording, "/recorder/start", name="hour")
         operator.start()
-        begin = looked = asked = told = time.monotonic()
+        begin = looked = asked = time.monotonic()
         request: Any = None
         while (now := time.monotonic()) < begin + 60 * minutes and all(node.alive for node in nodes.values()):
             graph.spin(0.2)
-            operator.attend()
+            watched.trips += [reason for reason in [operator.tripped()] if reason]
             if now - looked >= _LOOK:
                 looked = now
                 watched.look(
@@ -141,10 +118,6 @@ def watch(minutes: float, folder: Path, method: str) -> Watched:
                     {name: node.memory for name, node in nodes.items()},
                     {name: highest(node.popen.pid) for name, node in nodes.items()},
                 )
-            if now - told >= _TELL:
-                told = now
-                memory = ", ".join(f"{name} {values[-1]:.0f} MB" for name, values in watched.memory.items())
-                print(f"{(now - begin) / 60:.0f} min: {watched.asked} requests, {memory}", flush=True)
             if request is None and now - asked >= REQUESTS:
                 asked = now
                 watched.asked += 1

@@ -62,13 +62,7 @@ class Killed:
 
 
 class Rounds:
-    """Kills, ends and starts nodes, runs experiments, and checks what must hold whatever happens.
-
-    Parameters
-    ----------
-    graph : Graph
-    rng : random.Random
-    """
+    """Kills, ends and starts nodes, runs experiments, and checks what must hold whatever happens."""
 
     def __init__(self, graph: Graph, rng: random.Random) -> None:
         self.graph, self.rng, self.result = graph, rng, Killed()
@@ -101,8 +95,7 @@ class Rounds:
 
     def round(self) -> None:
         """Start an experiment, disturb nodes, restart those that are gone, and check."""
-        before = len(self.result.findings)
-        said = []
+        before, said = len(self.result.findings), list[str]()
         self._begin()
         for _ in range(self.rng.randint(1, 4)):
             self.graph.spin(self.rng.uniform(0.1, 1.5))
@@ -115,7 +108,9 @@ class Rounds:
                 said.append(f"start {name}")
                 self._start(name)
         self._check_services()
-        self._check_recordings()
+        for recording in self._ended:
+            self._check_recording(recording)
+        self._ended.clear()
         self._check_rest()
         self.result.findings[before:] = [
             f"round {self.result.rounds} ({', '.join(said)}): {finding}" for finding in self.result.findings[before:]
@@ -126,23 +121,18 @@ class Rounds:
         self._killed.clear()
 
     def _begin(self) -> None:
-        """Start recording and trajectory, in any order."""
-        for name in self.rng.sample(("recorder", "trajectory_publisher"), 2):
-            if name == "recorder":
-                reply = self.graph.call(StartRecording, "/recorder/start", name="")
-                self._expect("recorder/start", reply is not None and reply.success, reply)
-                if reply is not None and reply.success:
-                    self._recording = Recorded(Path(reply.uri), time.monotonic())
-            else:
-                self._quiet_from = 0.0
-                reply = None
-                for _ in range(20):  # it refuses until the drive's messages have arrived, and after a trip
-                    self.graph.call(Command, "/trajectory_publisher/clear_fault")
-                    reply = self.graph.call(StartExperiment, "/trajectory_publisher/start_experiment")
-                    if reply is None or reply.success:
-                        break
-                    self.graph.spin(0.5)
-                self._expect("trajectory_publisher/start_experiment", reply is not None and reply.success, reply)
+        """Start recording and trajectory."""
+        reply = self.graph.call(StartRecording, "/recorder/start", name="")
+        if self._expect("recorder/start", reply):
+            self._recording = Recorded(Path(reply.uri), time.monotonic())
+        self._quiet_from = 0.0
+        for _ in range(20):  # it refuses until the drive's messages have arrived, and after a trip
+            self.graph.call(Command, "/trajectory_publisher/clear_fault")
+            reply = self.graph.call(StartExperiment, "/trajectory_publisher/start_experiment")
+            if reply is None or reply.success:
+                break
+            self.graph.spin(0.5)
+        self._expect("trajectory_publisher/start_experiment", reply)
 
     def _act(self, action: str, name: str) -> None:
         self.result.actions[action] += 1
@@ -164,45 +154,48 @@ class Rounds:
             self.result.findings.append(trouble)
         if name == "trajectory_publisher":
             self._quiet_from = time.monotonic() + LEAD
-        if name == "recorder" and self._recording is not None:
-            self._recording.end = moment
-            self._recording.stopped = number != signal.SIGKILL
-            self._ended.append(self._recording)
-            self._recording = None
+        if name == "recorder":
+            self._end_of_recording(moment, stopped=number != signal.SIGKILL)
 
     def _start(self, name: str) -> None:
+        data = {"data_directory": self._data}
         settings: dict[str, dict[str, Any]] = {
             "bench_simulator": {"current_noise": 1e-3},
             "trajectory_publisher": {"i_max": I_MAX, "duration": 30.0},
-            "recorder": {"data_directory": self._data},
-            "identification": {
-                "data_directory": self._data, "output_directory": self.graph.folder / "results", "i_max": I_MAX,
-                "method": "joint",
-            },
-        }  # fmt: skip
+            "recorder": data,
+            "identification": data | {"output_directory": self._data / "results", "i_max": I_MAX, "method": "joint"},
+        }
         self._nodes[name] = self.graph.start(name, settings[name])
 
     # -- checks --------------------------------------------------------------------------------------------------------
 
-    def _expect(self, what: str, holds: bool, reply: Any) -> None:
-        if not holds:
+    def _expect(self, what: str, reply: Any) -> bool:
+        """Return whether a request succeeded, and note it if not."""
+        if reply is None or not reply.success:
             self.result.findings.append(f"{what}: {'no answer' if reply is None else reply.message}")
+        return reply is not None and reply.success
 
     def _check_services(self) -> None:
         """Check that every node answers, whatever happened to it."""
-        reply = self.graph.call(Command, "/trajectory_publisher/stop_experiment")
-        self._expect("trajectory_publisher/stop_experiment", reply is not None and reply.success, reply)
+        stop = "/trajectory_publisher/stop_experiment"
+        self._expect("trajectory_publisher/stop_experiment", self.graph.call(Command, stop))
         self._quiet_from = time.monotonic() + 2 * LEAD
         reply = self.graph.call(StopRecording, "/recorder/stop")
         if self._recording is not None:
-            self._expect("recorder/stop", reply is not None and reply.success, reply)
-            self._recording.end, self._recording.stopped = time.monotonic(), True
+            self._expect("recorder/stop", reply)
+            self._end_of_recording(time.monotonic(), stopped=True)
+        elif reply is None:
+            self.result.findings.append("recorder/stop: no answer")
+        reply = self.graph.call(Identify, "/identification/identify", bags=[], method="joint")
+        if reply is None or reply.code == "internal":
+            self._expect("identification/identify", reply)
+        self.result.findings += self.graph.troubles()
+
+    def _end_of_recording(self, moment: float, *, stopped: bool) -> None:
+        if self._recording is not None:
+            self._recording.end, self._recording.stopped = moment, stopped
             self._ended.append(self._recording)
             self._recording = None
-        self._expect("recorder/stop", reply is not None, reply)
-        reply = self.graph.call(Identify, "/identification/identify", bags=[], method="joint")
-        self._expect("identification/identify", reply is not None and reply.code != "internal", reply)
-        self.result.findings += self.graph.troubles()
 
     def _check_rest(self) -> None:
         """Check that the drive is at rest, and stays there."""
@@ -218,11 +211,6 @@ class Rounds:
         if not heard:
             return float("inf")
         return max(float(np.abs(values).max()) for values in decode_block(heard[-1][1], 3).values)
-
-    def _check_recordings(self) -> None:
-        for recording in self._ended:
-            self._check_recording(recording)
-        self._ended.clear()
 
     def _check_recording(self, recording: Recorded) -> None:
         """Check that it contains all messages received here, but for those not flushed when the recorder was killed."""
@@ -293,14 +281,7 @@ def _runs(heard: list[tuple[float, bytes]]) -> list[list[tuple[float, bytes]]]:
 
 
 def kills(rounds: int, seed: int, folder: Path) -> Killed:
-    """Run a number of rounds.
-
-    Parameters
-    ----------
-    rounds, seed : int
-    folder : Path
-        Scratch space.
-    """
+    """Run a number of rounds, which the seed determines; ``folder`` is scratch space."""
     with Graph(folder) as graph:
         running = Rounds(graph, random.Random(seed))
         for _ in range(rounds):

@@ -1,6 +1,8 @@
-"""The baseline as a whole process: read a bag with rosbags, fit it with the plain numpy script, print R and u_e.
+"""The baseline of the benchmarks: read a bag with rosbags, fit the paper's regression, print R and u_e.
 
 Usage: python benchmarks/plain_script.py BAG
+
+What an engineer would write first: all rows in one dense matrix, then ``lstsq``. It shares no code with the package.
 """
 
 from __future__ import annotations
@@ -10,10 +12,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dense_script import fit
 from rosbags.highlevel import AnyReader
+from scipy.interpolate import BSpline
 
 TOPICS = {"/phase_currents": ("a", "b", "c"), "/phase_voltages": ("a", "b", "c"), "/resolver": ("angle", "speed")}
+SHIFTS = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])
+COUNT = 8
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -30,6 +34,47 @@ def read(path: Path) -> dict[str, Any]:
             stamps[connection.topic].append(stamp + np.rint(np.arange(len(columns[0])) * step).astype(np.int64))
             values[connection.topic].append(np.column_stack(columns))
     return {topic: (np.concatenate(stamps[topic]), np.concatenate(values[topic]).astype(float)) for topic in TOPICS}
+
+
+def to_dq(x_abc: Any, angle: Any) -> Any:
+    """Transform phase quantities to d and q."""
+    axes = angle[:, None] - SHIFTS
+    return 2 / 3 * np.stack([(np.cos(axes) * x_abc).sum(1), -(np.sin(axes) * x_abc).sum(1)], axis=1)
+
+
+def basis(i_dq: Any) -> Any:
+    """Return all tensor-product cubic B-splines at all samples, dense."""
+    factors = []
+    for x in i_dq.T:
+        width = (x.max() - x.min()) / (COUNT - 3)
+        knots = x.min() + width * np.arange(-3, COUNT + 1)
+        factors.append(BSpline.design_matrix(np.clip(x, knots[3], knots[-4]), knots, 3).toarray())
+    return (factors[0][:, :, None] * factors[1][:, None, :]).reshape(len(i_dq), -1)
+
+
+def fit(stamp: Any, i_abc: Any, u_abc: Any, angle: Any, speed: Any) -> tuple[float, float, Any]:
+    """Return R, u_e and gamma of method ``joint``."""
+    period = (stamp[-1] - stamp[0]) * 1e-9 / (len(stamp) - 1)
+    i_dq = to_dq(i_abc, angle)
+    b = basis(i_dq)
+    phi, omega = angle[:-1], speed[:-1]
+    middle = phi + omega * period / 2
+    sinc = np.sinc(omega * period / 2 / np.pi)[:, None]
+    v = period * sinc * to_dq(u_abc[:-1], middle)
+    nodes, gauss = np.polynomial.legendre.leggauss(4)
+    q1 = np.zeros_like(v)
+    for node, weight in zip(nodes, gauss, strict=True):
+        s = (node + 1) / 2
+        q1 += weight / 2 * period * to_dq(i_abc[:-1] + s * np.diff(i_abc, axis=0), phi + omega * s * period)
+    drop = to_dq(np.tanh(i_abc), angle)
+    q4 = period / 2 * (drop[1:] + drop[:-1])
+    total = (omega * period / 2)[:, None] * (b[1:] + b[:-1])
+    change = b[1:] - b[:-1]
+    rows = np.concatenate(
+        [np.hstack([q1[:, :1], q4[:, :1], change, -total]), np.hstack([q1[:, 1:], q4[:, 1:], total, change])]
+    )
+    x = np.linalg.lstsq(rows, v.T.ravel(), rcond=None)[0]
+    return float(x[0]), float(x[1]), x[2:]
 
 
 def main() -> None:

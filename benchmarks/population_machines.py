@@ -161,12 +161,7 @@ class Machine:
             known |= {"theta": theta}
             known |= {"psi_d_theta": self.flux_unit * waves[0], "psi_q_theta": self.flux_unit * waves[1]}
         return MachineMap(
-            name,
-            resistance=self.resistance,
-            pole_pairs=self.pole_pairs,
-            i_max=self.i_max,
-            u_dc=self.u_dc,
-            **known,
+            name, resistance=self.resistance, pole_pairs=self.pole_pairs, i_max=self.i_max, u_dc=self.u_dc, **known
         )
 
 

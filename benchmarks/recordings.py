@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -77,8 +76,3 @@ def moved(data: bytes, shift: int, count: int) -> bytes:
     stamp = _STAMP.pack(*divmod(seconds * 1_000_000_000 + nanoseconds + shift, 1_000_000_000))
     middle = data[_STAMP_AT + _STAMP.size : _COUNT_AT]
     return data[:_STAMP_AT] + stamp + middle + _COUNT.pack(first + count) + data[_COUNT_AT + _COUNT.size :]
-
-
-def without_references(samples: Samples) -> Samples:
-    """Return samples as the plain script knows them."""
-    return replace(samples, i_dq_reference=None)

@@ -1,10 +1,9 @@
-"""Errors of method ``full`` on drives with real effects, its reports, and a comparison with perfect knowledge.
+"""Errors of method ``full`` on drives with real effects, and its reports.
 
-Usage: python benchmarks/robustness.py [--only EFFECT,...] [--machines ipm,spm,pmsyrm] [--no-ratio]
-                                       [--output docs/robustness.md]
+Usage: python benchmarks/robustness.py [--only EFFECT,...] [--machines ipm,spm,pmsyrm] [--output docs/robustness.md]
 
-All effects on the ipm, at one speed and at two, some of them on the other machines; then the errors over several seeds
-relative to those of a fit that is given noise, harmonics, inverter and delay. The figures are the same on any computer.
+All effects on the ipm, at one speed and at two, some of them on the other machines. The figures are the same on any
+computer.
 """
 
 from __future__ import annotations
@@ -27,18 +26,15 @@ from drive_id.bench.machine import default_amplitude
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.model import ModelSpec
-from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
-from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import gather, score
-from drive_id.core.validation.metrics import nrmse, true_flux
+from drive_id.core.validation.metrics import true_flux
 from drive_id.errors import DriveIdError
 from drive_id.fitting.simulated import load_machine, run_experiment
 from drive_id.types import GroundTruth, MachineMap, Samples
 
-SECONDS, SEEDS = 10.0, 5
+SECONDS = 10.0
 NOISE = 1e-3
 ONE, TWO = (500.0,), (500.0, -900.0)
 GOOD = SimulationSettings(current_noise=NOISE)
@@ -273,65 +269,6 @@ def _shortened(sentence: str) -> str:
     return text if len(text) <= _SHORT else f"{text[:_SHORT].rsplit(' ', 1)[0]} …"
 
 
-def told_everything(name: str, seed: int, *, curve: bool = True) -> np.ndarray:
-    """Return the errors of psi_d, psi_q and R of a fit that has only the flux map and R to find.
-
-    The drive has neither inverter nor harmonics, as if both had been subtracted exactly, and the model has no columns
-    for them, nor for a delay or for sensor faults; the noise is known. Without ``curve``, the model has the columns of
-    an inverter curve, which is not known to be zero.
-    """
-    machine = load_machine(name)
-    simulation = run_experiment(machine, replace(GOOD, seed=seed, inverter="none", harmonics=0.0), seconds=SECONDS)
-    evidence = gather([simulation.samples], FitSettings(harmonic_orders=(6,)))
-    assert evidence.windows is not None
-    sums, i_max = evidence.windows.finished(), simulation.truth.i_max
-    with one_blas_thread():
-        solver = Solver.over(sums)
-        spec = solver.best_penalty(ModelSpec(reciprocal=True, orders=(), inverter=not curve, constant=False))[0]
-        noise = CurrentNoise.met(2 / 3 * (NOISE * i_max) ** 2, sums.kept())
-        solution = correct_attenuation(solver, solver.solve(spec), noise)[0]
-    axis = np.linspace(-i_max, i_max, 65)
-    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
-    inside = grid[np.hypot(*grid.T) <= 0.97 * i_max]
-    psi = sums.model.flux.rows(inside).dot(solution.estimate[sums.model.map])
-    resistance = solution.resistance / simulation.truth.resistance - 1
-    return np.array([*nrmse(psi, true_flux(simulation.truth, inside)), resistance])
-
-
-def told_nothing(name: str, seed: int) -> np.ndarray:
-    """Return the same errors of a fit with default settings to the whole drive."""
-    simulation = run_experiment(load_machine(name), replace(GOOD, seed=seed), seconds=SECONDS)
-    found = conclude(gather([simulation.samples], FitSettings()), [simulation.samples])
-    return np.array([*score(found, simulation.truth), _resistance(found, simulation.truth)[0]])
-
-
-def ratios(machines: list[str]) -> Iterator[str]:
-    """Yield the section that compares with perfect knowledge."""
-    yield from (
-        "## Comparison with perfect knowledge",
-        "",
-        (
-            "Errors on the drive without effects (one speed), root mean square over "
-            f"{SEEDS} seeds, and their ratio to those of a"
-        ),
-        "fit that is given noise, harmonics, inverter curve and delay exactly and estimates only the flux map and R.",
-        "Last column: R, %, of a fit that is given all but the curve and has to separate it from R.",
-        "",
-        "| machine | psi_d, % | psi_q, % | R, % | given: psi_d | psi_q | R | ratio psi_d | psi_q | R | no curve: R |",
-        "|---|" + "---:|" * 10,
-    )
-    for name in machines:
-        tried = [
-            (told_nothing(name, seed), told_everything(name, seed), told_everything(name, seed, curve=False))
-            for seed in range(SEEDS)
-        ]
-        plain, told, without = np.sqrt(np.mean(np.square(tried), axis=0))
-        shares = [f"{100 * value:.3f}" for value in (*plain, *told)]
-        ratio = [f"{value:.1f}" for value in plain / told]
-        yield f"| {name} | {' | '.join([*shares, *ratio, f'{100 * without[2]:.3f}'])} |"
-    yield ""
-
-
 LEGEND = """\
 ## Columns and conditions
 
@@ -350,7 +287,7 @@ first warning, shortened (+ further ones) |
 """
 
 
-def page(names: list[str], machines: list[str], *, ratio: bool) -> Iterator[str]:
+def page(names: list[str], machines: list[str]) -> Iterator[str]:
     """Yield the lines of the page."""
     yield from (
         "# Robustness",
@@ -368,8 +305,6 @@ def page(names: list[str], machines: list[str], *, ratio: bool) -> Iterator[str]
                 if number == 0 or EFFECTS[effect].short:
                     yield f"| {EFFECTS[effect].title} | {' | '.join(cells(EFFECTS[effect], name, speeds))} |"
             yield ""
-    if ratio:
-        yield from (*ratios(machines), "")
     yield from LEGEND.splitlines()
 
 
@@ -380,13 +315,12 @@ def main() -> None:
     parser.add_argument(
         "--machines", default="ipm,spm,pmsyrm", help="names, with commas; the first one gets all effects"
     )
-    parser.add_argument("--no-ratio", action="store_true", help="leave out the distance from the limit")
     parser.add_argument("--output", type=Path, help="page to write (Markdown)")
     options = parser.parse_args()
     console = Console(width=150, highlight=False, markup=False)
     start, lines = time.monotonic(), []
     names = options.only.split(",") if options.only else list(EFFECTS)
-    for line in page(names, options.machines.split(","), ratio=not options.no_ratio):
+    for line in page(names, options.machines.split(",")):
         console.print(line, soft_wrap=True)
         lines.append(line)
     console.print(f"Total: {time.monotonic() - start:.0f} s")

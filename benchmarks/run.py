@@ -14,7 +14,6 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: before numpy is loaded
 
-import fitting
 import fleet
 import nodes
 import processes
@@ -24,8 +23,8 @@ from reporting import Section, machine, show, write
 from rich.console import Console
 
 PAGE = Path(__file__).parent.parent / "docs" / "performance.md"
-LENGTHS, QUICK = [10.0, 60.0, 600.0], [1.0, 2.0]
-"""Of the recordings whose growth of time and memory is measured, s; the second one is the baseline."""
+LENGTHS, QUICK = [10.0, 60.0, 600.0], [1.0]
+"""Of the recordings whose growth of time and memory is measured, s; the second or only one is the baseline."""
 HOUR = 3600.0
 
 
@@ -37,7 +36,6 @@ def parts(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], S
         "process": lambda: processes.against_plain(folder, repeats),
         "cold": lambda: processes.cold(folder, repeats),
         "growth": lambda: processes.growth(folder, lengths, repeats),
-        "fit": lambda: fitting.section(repeats),
         "start": lambda: processes.start_up(folder, repeats),
         "live": lambda: streams.section(folder, repeats, 1.0 if options.quick else 10.0),
         "nodes": lambda: nodes.section(repeats),
@@ -57,7 +55,7 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description="Measure drive_id against stated baselines.")
     parser.add_argument(
-        "--only", default="", help="names of parts, with commas: process,cold,growth,fit,start,live,nodes,safety,fleet"
+        "--only", default="", help="names of parts, with commas: process,cold,growth,start,live,nodes,safety,fleet"
     )
     parser.add_argument(
         "--hour", nargs="?", type=float, const=HOUR, metavar="SECONDS",

@@ -1,4 +1,4 @@
-"""Messages and live samples: decoding, accumulation at 100 kHz, and the reply to a request after ten minutes."""
+"""Messages and live samples: reading, accumulation at 100 kHz, and the reply to a request after ten minutes."""
 
 from __future__ import annotations
 
@@ -6,30 +6,20 @@ import time
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
-from fitting import has_full
-from measuring import Cost, in_turns
+from measuring import in_turns
 from plain_script import read as rosbags_read
 from recordings import experiment, recording
 from reporting import Row, Section, faster, seconds
-from rosbags.typesys.store import Typestore
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.files.messages.block_codec import decode_block, encode_block
-from drive_id.files.messages.messages import (
-    BLOCK_FIELDS,
-    PHASE_CURRENTS,
-    PHASE_VOLTAGES,
-    RESOLVER,
-    message_typestore,
-)
+from drive_id.files.messages.block_codec import encode_block
+from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.read.reader import bag_pieces
-from drive_id.files.storage.bag import open_bag
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.identifier import Identifier
 from drive_id.live.identification.live_evidence import LiveEvidence
@@ -49,8 +39,8 @@ Message = tuple[int, bytes]
 
 def section(folder: Path, repeats: int, minutes: float) -> Section:
     """Measure."""
-    rows = [_reading(folder, repeats), _decoding(folder, repeats)]
-    for method in ("joint", "full") if has_full() else ("joint",):
+    rows = [_reading(folder, repeats)]
+    for method in ("joint", "full"):
         settings = FitSettings(method=method, i_max=_I_MAX)
         rows += [_accumulation(settings), _in_real_time(settings), *_reply(settings, repeats, minutes)]
     return Section("Messages and live samples", "Live: in process, without the transport of ROS.", tuple(rows))
@@ -61,28 +51,6 @@ def _reading(folder: Path, repeats: int) -> Row:
     actions = {"rosbags": lambda: rosbags_read(bag), "ours": lambda: deque(bag_pieces(bag, SignalMap()), maxlen=0)}
     costs = in_turns(actions, min(repeats, 3))
     return faster("a bag of 60 s into joined arrays, against rosbags' deserialization", costs["rosbags"], costs["ours"])
-
-
-def _decoding(folder: Path, repeats: int) -> Row:
-    with open_bag(recording(folder, 10.0)) as bag:
-        types = {name: topic.type_name for name, topic in bag.topics.items()}
-        messages = [(types[message.topic], bytes(message.data)) for message in bag.messages(frozenset(types))]
-    store = message_typestore()
-    costs = in_turns(
-        {"rosbags": partial(_deserialize, store, messages), "ours": partial(_decode, messages)}, max(repeats, 5)
-    )
-    each = {name: Cost(cost.elapsed / len(messages), cost.cpu / len(messages)) for name, cost in costs.items()}
-    return faster("one live message of 100 samples into arrays, against rosbags", each["rosbags"], each["ours"])
-
-
-def _deserialize(store: Typestore, messages: list[tuple[str, bytes]]) -> None:
-    for type_name, data in messages:
-        store.deserialize_cdr(data, type_name)
-
-
-def _decode(messages: list[tuple[str, bytes]]) -> None:
-    for type_name, data in messages:
-        decode_block(data, len(BLOCK_FIELDS[type_name]))
 
 
 def _messages(samples: Samples, block: int, times: int = 1) -> Iterator[Message]:

@@ -313,8 +313,7 @@ def test_inductances_are_the_slopes_of_the_fluxes(result):
 def test_inductances_are_those_of_the_machine(result, simulation):
     i_d, i_q = -60.0, 80.0
     true = np.mean(
-        [inductances(simulation.machine, i_d, i_q, theta) for theta in np.linspace(0, np.pi / 3, 24, False)],
-        axis=0,
+        [inductances(simulation.machine, i_d, i_q, theta) for theta in np.linspace(0, np.pi / 3, 24, False)], axis=0
     )
     np.testing.assert_allclose(result.flux_map.inductances(i_d, i_q), true, atol=0.05 * true.max())
 

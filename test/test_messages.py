@@ -13,6 +13,7 @@ import uuid
 from pathlib import Path
 
 import pytest
+from ros_bench import require_ros
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError
@@ -176,12 +177,7 @@ def test_the_action_answers_as_the_service_does():
 @pytest.fixture
 def ros():
     """Skip without ROS 2, unless the caller has promised that it is there."""
-    missing = [name for name in ("rclpy", "drive_id_msgs") if importlib.util.find_spec(name) is None]
-    if missing:
-        complaint = f"{' and '.join(missing)} not found: source a ROS 2 workspace with drive_id_msgs, or use make test"
-        if os.environ.get("DRIVE_ID_REQUIRE_ROS") == "1":
-            pytest.fail(complaint)
-        pytest.skip(complaint)
+    require_ros()
 
 
 def generated_fields(interface):

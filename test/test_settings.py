@@ -96,10 +96,7 @@ def test_values_are_taken(name, given, expected):
 @pytest.mark.parametrize(
     ("mapping", "said"),
     [
-        (
-            {"flags": True},
-            "sets 'flags', which does not exist: did you mean 'flag'? the settings are flag, count,",
-        ),
+        ({"flags": True}, "sets 'flags', which does not exist: did you mean 'flag'? the settings are flag, count,"),
         ({1: True}, "sets '1'"),
         ({None: True}, "sets 'None'"),
         ({"flag": 1}, "'flag' in file.yaml is 1: it must be true or false."),
@@ -157,6 +154,13 @@ def test_of_many_settings_the_nearest_are_named():
 def test_the_constructor_checks_bounds_without_naming_a_file():
     with pytest.raises(ConfigurationError, match=r"^count is 0: it must be at least 1 and at most 10\.$"):
         Everything(count=0)
+
+
+@pytest.mark.parametrize("order", [2, 97])
+def test_orders_of_harmonics_lie_from_three_to_96(order):
+    assert FitSettings(harmonic_orders=(3, 96)).harmonic_orders == (3, 96)
+    with pytest.raises(ConfigurationError, match=f"harmonic_orders is {order}: it must be at least 3 and at most 96"):
+        FitSettings(harmonic_orders=(6, order))
 
 
 def test_numbers_of_numpy_are_numbers():

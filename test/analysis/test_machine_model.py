@@ -166,9 +166,7 @@ def test_iron_loss_that_was_identified_is_taken_over():
 
 def test_what_is_unknown_is_named():
     result = exact_result(machine_map("ipm"))
-    unknown = MachineModel.of(
-        replace(result, provenance=replace(result.provenance, pole_pairs=None, u_dc=None)),
-    )
+    unknown = MachineModel.of(replace(result, provenance=replace(result.provenance, pole_pairs=None, u_dc=None)))
     with pytest.raises(ConfigurationError, match="--pole-pairs"):
         unknown.torque(1.0, 2.0)
     with pytest.raises(ConfigurationError, match="--u-dc"):

@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from bench_runs import IPM, PHASES, T, lissajous, run, wrapped
 
 from drive_id.bench.drive import Drive, Simulation, build_machine, simulate
 from drive_id.bench.machines import MACHINES, machine_map
@@ -14,29 +15,10 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import MachineMap
 
-T = 1e-4
-PHASES = 2 * np.pi / 3 * np.arange(3)
-IPM = machine_map("ipm")
-
-
-def lissajous(i_max: float, count: int) -> np.ndarray:
-    t = np.arange(count) * T
-    q, d = 2 * np.pi * 3.65 * t, 2 * np.pi * 1.7 * t
-    return i_max * np.stack((np.cos(q) * np.sin(d), np.sin(q)), axis=-1)
-
-
-def run(count: int = 2000, source: MachineMap = IPM, **settings: object) -> Simulation:
-    chosen = SimulationSettings(**settings)  # type: ignore[arg-type]
-    return simulate(source, chosen, lissajous(build_machine(source, chosen).i_max, count))
-
 
 def true_i_abc(simulation: Simulation) -> np.ndarray:
     theta = simulation.angle_true[:, None] - PHASES
     return np.cos(theta) * simulation.i_dq_true[:, :1] - np.sin(theta) * simulation.i_dq_true[:, 1:]
-
-
-def wrapped(angle: np.ndarray) -> np.ndarray:
-    return np.angle(np.exp(1j * angle))
 
 
 NOISY = {"current_noise": 1e-3, "resolver_noise": 1e-3, "speed_noise": 0.5, "speeds": (500.0, -300.0)}

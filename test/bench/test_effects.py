@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from bench_runs import IPM, PHASES, T, lissajous, run, wrapped
 from machine_kinds import co_energy
 from scipy.integrate import solve_ivp
 
@@ -22,22 +23,8 @@ from drive_id.cli.options import merged_settings
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import MachineMap
 
-T = 1e-4
-PHASES = 2 * np.pi / 3 * np.arange(3)
 CLARKE = 2 / 3 * np.exp(1j * PHASES)
-IPM = machine_map("ipm")
 POLE_PAIRS = 4
-
-
-def lissajous(i_max: float, count: int) -> np.ndarray:
-    t = np.arange(count) * T
-    q, d = 2 * np.pi * 3.65 * t, 2 * np.pi * 1.7 * t
-    return i_max * np.stack((np.cos(q) * np.sin(d), np.sin(q)), axis=-1)
-
-
-def run(count: int = 2000, source: MachineMap = IPM, **settings: object) -> Simulation:
-    chosen = SimulationSettings(**settings)  # type: ignore[arg-type]
-    return simulate(source, chosen, lissajous(build_machine(source, chosen).i_max, count))
 
 
 def hold(i_d: float, i_q: float, count: int, source: MachineMap = IPM, **settings: object) -> Simulation:
@@ -47,10 +34,6 @@ def hold(i_d: float, i_q: float, count: int, source: MachineMap = IPM, **setting
 def stator(simulation: Simulation) -> np.ndarray:
     """Return the true terminal currents as complex numbers in the stator frame."""
     return (simulation.i_dq_true @ (1, 1j)) * np.exp(1j * simulation.angle_true)
-
-
-def wrapped(angle: np.ndarray) -> np.ndarray:
-    return np.angle(np.exp(1j * angle))
 
 
 # --- the plant

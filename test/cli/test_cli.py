@@ -27,6 +27,7 @@ from drive_id.errors import OutputError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES
 from drive_id.files.write.writer import write_recording
 from drive_id.quantity import measured
+from drive_id.reporting.page import report
 
 SCRIPT = Path(sys.executable).with_name("drive-id")
 RESULTS = ["diagnostics.npz", "flux_map.npz", "harmonics.npz", "identification.json"]
@@ -86,10 +87,6 @@ def text_file(path, _bag, _samples):
     path.write_text("this is no bag")
 
 
-def binary_file(path, _bag, _samples):
-    path.write_bytes(np.random.default_rng(0).bytes(100_000))
-
-
 def binary_mcap(path, _bag, _samples):
     (path / "x").mkdir(parents=True)
     (path / "x_0.mcap").write_bytes(np.random.default_rng(0).bytes(100_000))
@@ -133,10 +130,6 @@ def of_blocks(name, change):
     return make
 
 
-def without(topic):
-    return of_blocks(f"without{topic.replace('/', '_')}", lambda blocks: blocks.pop(topic))
-
-
 def wrong_type(path, _bag, samples):
     types = {"/phase_currents": PHASE_CURRENTS, "/phase_voltages": PHASE_VOLTAGES, "/resolver": PHASE_CURRENTS}
     blocks = blocks_of(samples)
@@ -145,26 +138,13 @@ def wrong_type(path, _bag, samples):
     write_blocks(path, blocks, types)
 
 
-def set_value(topic, value):
-    def change(blocks):
-        blocks[topic][7]["values"][3, 1] = value
-
-    return of_blocks(f"{value}_in{topic.replace('/', '_')}", change)
-
-
-def backward(blocks):
-    for block in blocks["/phase_currents"][1::2]:
-        block["stamp"] += 500_000_000
+def not_finite(blocks):
+    blocks["/phase_currents"][7]["values"][3, 1] = np.nan
 
 
 def all_at_once(blocks):
     for block in blocks["/phase_currents"]:
         block["stamp"] = 1_000_000_000
-
-
-def other_period(blocks):
-    for block in blocks["/phase_voltages"]:
-        block["period"] = 1.25e-4
 
 
 def stamped_period(blocks):
@@ -220,41 +200,29 @@ def held_angle(samples):
 
 BAD_BAGS = [
     (text_file, "is not a table of numbers below a line with the names"),
-    (binary_file, "neither an MCAP nor a sqlite3 recording"),
     (binary_mcap, "x_0.mcap"),
     (empty_folder, "without an .mcap or .db3 file"),
     (missing_path, "does not exist"),
-    *[(cut(share), "") for share in (0.0001, 0.1, 0.5, 0.9, 0.999)],
-    *[(without(topic), f"no topic {topic[1:]}") for topic in ("/phase_currents", "/phase_voltages", "/resolver")],
+    *[(cut(share), "") for share in (0.0001, 0.5)],
+    (of_blocks("without_resolver", lambda blocks: blocks.pop("/resolver")), "no topic resolver"),
     (wrong_type, "/resolver"),
-    (of_blocks("empty_topic", lambda blocks: blocks["/resolver"].clear()), "holds no sample"),
-    (of_blocks("no_samples", lambda b: [x.update(values=x["values"][:0]) for x in b["/resolver"]]), "holds no sample"),
-    (set_value("/phase_currents", np.nan), "NaN or infinite"),
-    (set_value("/phase_voltages", np.inf), "NaN or infinite"),
-    (set_value("/resolver", -np.inf), "NaN or infinite"),
-    (of_blocks("backward", backward), "stamps"),
+    (of_blocks("not_finite", not_finite), "NaN or infinite"),
     (of_blocks("all_at_once", all_at_once), ""),
-    (of_blocks("other_period", other_period), "sample periods disagree"),
     (of_blocks("stamped_period", stamped_period), "sample periods disagree"),
     (of_blocks("one_spike", one_spike), "stands out"),
     (two_drives, "several drives (/drive_1, /drive_2)"),
     (of_arrays("standstill", speed=lambda s: 0 * s.speed, angle=held_angle), "record while it turns"),
-    (of_arrays("speed_zero", speed=lambda s: 0 * s.speed), "0.000 times as fast"),
     (of_arrays("angle_held", angle=held_angle), "0.000 times as fast"),
     (of_arrays("mechanical_angle", angle=lambda s: wrapped(np.unwrap(s.angle) / 4)), "0.250 times as fast"),
-    (of_arrays("mechanical_speed", speed=lambda s: s.speed / 4), "4.000 times as fast"),
-    (of_arrays("backward_speed", speed=lambda s: -s.speed), "-1.000 times as fast"),
     (of_arrays("rpm", speed=lambda s: s.speed / 4 * 60 / 2 / np.pi), "times as fast"),
     (of_arrays("no_current", i_abc=lambda s: 0 * s.i_abc), "fills the current disc"),
     (of_arrays("noise_only", i_abc=small_noise), "fills the current disc"),
     (of_arrays("held_point", i_abc=noisy_point), "fills the current disc"),
     (of_arrays("line_d", i_abc=straight_line(0.0)), "fills the current disc"),
-    (of_arrays("line_q", i_abc=straight_line(np.pi / 2)), "fills the current disc"),
     (of_arrays("line_between", i_abc=straight_line(2.0), u_abc=resistive), "fills the current disc"),
     (of_arrays("no_voltage", u_abc=lambda s: 0 * s.u_abc), "voltages are zero"),
     (of_arrays("duty_cycles", u_abc=lambda s: s.u_abc / 400 + 0.5), "they are duty cycles"),
     (of_arrays("degrees", angle=lambda s: np.rad2deg(s.angle)), "in degrees"),
-    (of_arrays("clockwise", angle=lambda s: -s.angle, speed=lambda s: -s.speed), "clockwise encoder"),
     (
         of_arrays("pole_pairs", angle=lambda s: wrapped(2 * np.unwrap(s.angle)), speed=lambda s: 2 * s.speed),
         "from 8 to 4",
@@ -273,9 +241,8 @@ def test_bad_bags(run, bag, simulation, tmp_path, make, said):
 
 
 STATED_WITHOUT_PATH = {
-    "no_current", "noise_only", "held_point", "line_d", "line_q", "line_between", "no_voltage", "standstill",
-    "speed_zero", "angle_held", "mechanical_angle", "mechanical_speed", "backward_speed", "rpm", "one_spike",
-    "duty_cycles", "degrees", "clockwise", "pole_pairs",
+    "no_current", "noise_only", "held_point", "line_d", "line_between", "no_voltage", "standstill", "angle_held",
+    "mechanical_angle", "rpm", "one_spike", "duty_cycles", "degrees", "pole_pairs",
 }  # fmt: skip
 """Judged when all bags are one recording."""
 
@@ -417,17 +384,12 @@ HUGE = "1" + 400 * "0"
         ("method", "NAME=VALUE"),
         ("splines=8", "'splines', which does not exist"),
         ("splines_d=3", "at least 4 and at most"),
-        ("splines_d=eight", "'eight': it must be a whole number"),
-        ("splines_d=8.5", "8.5: it must be a whole number"),
         ("splines_d=[8", "is not valid YAML"),
         ("splines_d=2024-13-45", "is not valid YAML"),
         ("splines_d=" + 3000 * "[", "is not valid YAML"),
-        ("splines_d=" + HUGE, "at most"),
         ("splines_d=" + 5000 * "9", "is not valid YAML"),
         ("i_max=" + HUGE, "must be a number or null"),
         ("i_max=.nan", "must be a finite number"),
-        ("i_max=-1", "at least"),
-        ("i_max=[1, 2]", "must be a number or null"),
         ("method=full speed", "must be one of psm, joint"),
         ("method=on", "True: it must be text"),
         ("method=\0", "is not valid YAML"),
@@ -487,7 +449,6 @@ def test_options_win_over_the_file_and_an_error_names_both(run, bag):
         (["--seconds", "inf"], "choose a duration"),
         (["--seconds", "1e12"], "choose a duration"),
         (["--seconds", "1e-3", "--set", "sample_period=1e-3"], "choose a duration"),
-        (["--set", "speeds=fast"], "'fast': it must be a list of numbers"),
         (["--set", "current_gain=[1, 2]"], "[1, 2]: it must be a list of 3 numbers"),
         (["--set", "speeds=[]"], "give at least one speed"),
         (["--speed", "nan"], "finite number"),
@@ -495,8 +456,6 @@ def test_options_win_over_the_file_and_an_error_names_both(run, bag):
         (["--noise", "-1"], "current_noise is -1.0: it must be at least 0"),
         (["--inverter", "magic"], "must be one of none, tanh"),
         (["--form", "round"], "must be one of smooth, printed"),
-        (["--frequency-d", "nan"], "finite number"),
-        (["--set", f"i_max={HUGE}"], "must be a number or null"),
     ],
     ids=str,
 )
@@ -827,12 +786,9 @@ def test_plans_that_cannot_be(run):
 def test_a_fit_leaves_a_report_and_a_new_one_without_it_none(run, bag):
     assert run("fit", bag, *JOINT, "--output", "results", "--report", "--quiet").code == 0
     assert "report.html" in tree(Path("results"))
-    assert run("report", "results", "--output", "elsewhere/mine.html").out == "Report in elsewhere/mine.html\n"
+    said = json.loads(run("report", "results", "--output", "elsewhere/mine.html", "--json").out)
+    assert said == {"report": ["elsewhere/mine.html"], "warnings": []}
     assert "<title>Identified drive: ipm</title>" in Path("elsewhere/mine.html").read_text(encoding="utf-8")
-    assert json.loads(run("report", "results", "--output", "elsewhere/mine.html", "--json").out) == {
-        "report": ["elsewhere/mine.html"],
-        "warnings": [],
-    }
     assert run("fit", bag, *JOINT, "--output", "results", "--quiet").code == 0
     assert "report.html" not in tree(Path("results"))
 
@@ -863,8 +819,12 @@ def test_a_report_that_cannot_be_added_leaves_the_result(run, bag, monkeypatch, 
     assert drive_id.load("results").resistance > 0
 
 
-def test_a_report_is_refused_in_one_sentence(run, fitted):
+def test_a_report_is_refused_in_one_sentence(run, fitted, monkeypatch):
     fitted.save("results", draw=False)
+    with monkeypatch.context() as patch:
+        patch.setattr(report, "report_files", lambda _, __: {"report.html": b"<!-- a drive_id report -->"})
+        assert run("report", "results", "--output", "mine.html").out == "Report in mine.html\n"
+    Path("mine.html").unlink()
     Path("notes.html").write_text("mine")
     assert_one_sentence(run("report", "results", "--output", "notes.html"), "notes.html exists already")
     assert_one_sentence(run("report", "results", "--output", "report.docx"), "end with .html or .pdf")
@@ -873,11 +833,7 @@ def test_a_report_is_refused_in_one_sentence(run, fitted):
     said = "diagnostics.npz is damaged (diagnostics.npz was not written with its identification.json"
     assert_one_sentence(run("report", "results", "--output", "r.html"), said)
     assert tree(Path()) == sorted(
-        [
-            "notes.html",
-            "results",
-            *(f"results/{name}" for name in RESULTS if "harm" not in name),
-        ]
+        ["notes.html", "results", *(f"results/{name}" for name in RESULTS if "harm" not in name)]
     )
 
 
@@ -901,8 +857,7 @@ print(*codes)
 
 
 @pytest.mark.process
-@pytest.mark.parametrize("encoding", ["ascii:strict", "utf-8:strict"])
-def test_names_neither_move_the_cursor_nor_stop_the_output(tmp_path, simulation, encoding):
+def test_names_neither_move_the_cursor_nor_stop_the_output(tmp_path, simulation):
     samples = simulation.samples
     names = ["t", "i_a", "i_b", "i_c", "u_a", "u_b", "u_c", "theta\x1b[2J\u202e", "omega\x07"]
     columns = [samples.stamp * 1e-9, *samples.i_abc.T, *samples.u_abc.T, samples.angle, samples.speed]
@@ -918,7 +873,7 @@ def test_names_neither_move_the_cursor_nor_stop_the_output(tmp_path, simulation,
         ("fit", "result/" + HOSTILE, "--output", "again"),
     )
     command = [os.fsencode(part) for part in (sys.executable, "-c", ONE_AFTER_ANOTHER, *map("\t".join, commands))]
-    environment = os.environ | {"PYTHONIOENCODING": encoding}
+    environment = os.environ | {"PYTHONIOENCODING": "utf-8:strict"}
     ran = subprocess.run(command, capture_output=True, timeout=120, check=False, cwd=tmp_path, env=environment)
     text = (ran.stderr + ran.stdout).decode("utf-8")
     assert text.endswith("\n0 0 0 0 0 0 1\n"), text

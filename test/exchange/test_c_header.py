@@ -150,8 +150,8 @@ def test_control(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["spm", *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES if name != "spm")]
-)  # slow: seconds for a map with bridges
+    "name", ["spm", *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[-2:])]
+)  # slow: seconds for a map with bridges; benchmarks/flashed.py has all six
 def test_the_margin_holds_on_the_exported_interpolation(name, tmp_path):
     """At 20 000 currents, with L of the map and of both functions of the header, 20 % more and less."""
     found = drive(name)

@@ -41,6 +41,11 @@ NAMES = {
 """Entries of the calibrations that are effects."""
 
 
+def fitted(*recordings, **settings):
+    """Fit with the drives' orders, which test_full_accuracy.py and the population have to choose from more."""
+    return identify(list(recordings), FitSettings(harmonic_orders=(6, 12), search_orders=False, **settings))
+
+
 def change(before, after):
     """Return a truth by two details of the simulation: the change from the first to the second."""
     return lambda truths: truths[-1].details[after] - truths[0].details[before]
@@ -73,10 +78,7 @@ CASES = {
     ),
     "hysteresis of constant coercivity": Case(({"iron_hysteresis": 3.0},), {"iron_loss_current": 3.0}),
     "late angle": Case((BOTH_WAYS | {"resolver_latency": 3e-5},), {"angle_latency": 30.0}),
-    "current filter": Case(
-        (BOTH_WAYS | {"current_filter": 5000.0},),
-        {"current_latency": 1e6 / (2 * np.pi * 5000.0)},
-    ),
+    "current filter": Case((BOTH_WAYS | {"current_filter": 5000.0},), {"current_latency": 1e6 / (2 * np.pi * 5000.0)}),
     "heating": Case(
         ({"copper_heat_capacity": 300.0, "magnet_heat_capacity": 500.0},),
         {
@@ -108,8 +110,8 @@ def test_an_effect_is_found_and_corrected(name):
     case = CASES[name]
     seconds = SECONDS / len(case.recordings)
     simulations = [run_experiment(IPM, replace(GOOD, **each), case.trajectory, seconds) for each in case.recordings]
-    pole_pairs = FitSettings(pole_pairs=IPM.pole_pairs if name == "eccentric rotor" else 0)
-    found = identify([simulation.samples for simulation in simulations], pole_pairs)
+    pole_pairs = IPM.pole_pairs if name == "eccentric rotor" else 0
+    found = fitted(*(simulation.samples for simulation in simulations), pole_pairs=pole_pairs)
     truths = [simulation.truth for simulation in simulations]
 
     assert 100 * max(score(found, truths[0])) < FLUX
@@ -140,7 +142,7 @@ def test_two_current_sensors_of_unequal_gain_turn_the_currents():
     """i_a (1 + e), i_b (1 - e) and -i_a - i_b are i (1 + j e / sqrt 3) + (2 e / 3) (1 - e^{4 pi j / 3}) conj(i)."""
     settings = replace(GOOD, **BOTH_WAYS, two_current_sensors=True, current_gain=(1.005, 0.995, 1.0))
     simulation = run_experiment(IPM, settings, seconds=SECONDS)
-    found = identify([simulation.samples])
+    found = fitted(simulation.samples)
     rotation, mismatch = sensors(found)
     assert rotation == pytest.approx(0.005 / np.sqrt(3), rel=0.15)
     assert abs(mismatch - 0.01 / 3 * (1 - np.exp(4j * np.pi / 3))) < 2e-4
@@ -158,7 +160,7 @@ def test_cross_talk_between_current_sensors_is_reported():
     share, simulation = 0.01, run_experiment(IPM, GOOD, seconds=SECONDS)
     cross_talk = np.array([[1.0, 0.0, 0.0], [share, 1.0, 0.0], [0.0, share, 1.0]])
     samples = replace(simulation.samples, i_abc=simulation.samples.i_abc @ cross_talk.T)
-    found = identify([samples])
+    found = fitted(samples)
     rotation, mismatch = sensors(found)
     assert rotation == pytest.approx(2 * share / 3 * np.sqrt(0.75), rel=0.1)
     assert abs(mismatch - share / 3 * -np.exp(4j * np.pi / 3)) < 5e-4
@@ -172,7 +174,7 @@ def test_a_dc_link_that_falls_under_load_and_was_not_recorded_is_corrected():
     samples = simulation.samples
     power = np.sum(samples.u_abc * samples.i_abc, axis=1)
     fall = 0.02 / np.abs(power).max()
-    found = identify([replace(samples, u_abc=samples.u_abc / (1 - fall * power)[:, None])])
+    found = fitted(replace(samples, u_abc=samples.u_abc / (1 - fall * power)[:, None]))
     (sag,) = (entry for entry in found.calibrations if entry.name == "link_sag")
     assert sag.value == pytest.approx(1e5 * fall, rel=0.1)
     assert found.report.warnings == ()
@@ -183,7 +185,7 @@ def test_a_dc_link_that_falls_under_load_and_was_not_recorded_is_corrected():
 def test_a_periodic_dc_link_that_was_not_recorded_is_corrected(share, frequency):
     settings = replace(GOOD, speeds=(500.0, -900.0), u_dc_ripple=share, u_dc_ripple_frequency=frequency)
     simulation = run_experiment(IPM, settings, seconds=SECONDS)
-    found = identify([simulation.samples])
+    found = fitted(simulation.samples)
     (ripple,) = (entry for entry in found.calibrations if entry.name == "link_ripple")
     assert ripple.value == pytest.approx(share, rel=0.15)
     assert ripple.message.values["frequency"] == pytest.approx(frequency, abs=0.1)
@@ -196,7 +198,7 @@ def test_a_ripple_that_heat_hides_is_found():
     heat = {"copper_heat_capacity": 30.0, "magnet_heat_capacity": 75.0}
     settings = replace(GOOD, speeds=(150.0,), u_dc_ripple=0.015, u_dc_ripple_frequency=300.0, **heat)
     simulation = run_experiment(machine_map("spm"), settings, seconds=SECONDS)
-    found = identify([simulation.samples])
+    found = fitted(simulation.samples)
     names = {entry.name for entry in found.calibrations if entry.applied}
     assert names >= {"resistance_rise", "magnet_flux_change", "link_ripple"}
     assert not names & {"flux_lag", "current_latency"}
@@ -204,14 +206,13 @@ def test_a_ripple_that_heat_hides_is_found():
     assert max(score(found, simulation.truth)) < 1e-3
 
 
-@pytest.mark.parametrize("name", ["ipm", "pmsyrm"])
-def test_a_winding_that_settles_within_the_recording_is_found_with_its_time_constant(name):
+def test_a_winding_that_settles_within_the_recording_is_found_with_its_time_constant():
     """R rises by 12 %. As if no heat were given off, R was 1.8 % off, or the record was refused as one with a slip."""
-    machine, constant = machine_map(name), 2.5
+    machine, constant = machine_map("pmsyrm"), 2.5
     settled = 1.5 * machine.resistance * machine.i_max**2 * constant / (0.12 / 0.00393)
     settings = replace(GOOD, copper_heat_capacity=settled, copper_time_constant=constant)
     simulation = run_experiment(machine, settings, seconds=SECONDS)
-    found = identify([simulation.samples])
+    found = fitted(simulation.samples)
     (rise,) = (entry for entry in found.calibrations if entry.name == "resistance_rise")
     assert rise.message.values["constant"] == pytest.approx(constant, rel=0.25)
     assert found.resistance == pytest.approx(machine.resistance, rel=0.005)
@@ -219,12 +220,11 @@ def test_a_winding_that_settles_within_the_recording_is_found_with_its_time_cons
     assert 100 * max(score(found, simulation.truth)) < FLUX
 
 
-@pytest.mark.parametrize(("speeds", "name"), [((500.0, -900.0), "ipm"), ((700.0,), "spm")])
-def test_a_hard_dead_time_is_kept_out_of_the_map_and_said(speeds, name):
+def test_a_hard_dead_time_is_kept_out_of_the_map_and_said():
     """4 us at 10 kHz is a step of 4 % of the DC link, at which the currents stay for a while when they reach zero."""
-    settings = replace(GOOD, speeds=speeds, inverter="switching", dead_time=4e-6, output_capacitance=0.0)
-    simulation = run_experiment(machine_map(name), settings, seconds=SECONDS)
-    found = identify([simulation.samples])
+    settings = replace(GOOD, speeds=(700.0,), inverter="switching", dead_time=4e-6, output_capacitance=0.0)
+    simulation = run_experiment(machine_map("spm"), settings, seconds=SECONDS)
+    found = fitted(simulation.samples)
     assert 100 * max(score(found, simulation.truth)) < 0.15
     truth = simulation.truth
     large = truth.inverter_current > 0.5 * truth.i_max
@@ -240,7 +240,7 @@ def test_a_wide_inverter_curve_shares_its_uncertainty_with_the_resistance(law, w
     """Without the wide shapes, R was off by 3 to 23 %, 7 to 70 of its standard errors."""
     settings = replace(GOOD, inverter=law, inverter_current=width * IPM.i_max)
     simulation = run_experiment(IPM, settings, seconds=SECONDS)
-    found = identify([simulation.samples])
+    found = fitted(simulation.samples)
     assert 100 * max(score(found, simulation.truth)) < FLUX
     assert found.resistance == pytest.approx(simulation.truth.resistance, abs=2 * found.sigma_resistance)
     of_curve = "The inverter's drop still bends at large currents"

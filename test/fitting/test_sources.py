@@ -90,7 +90,7 @@ def test_whatever_the_order_and_the_mixture(bags, infos, together, tmp_path):
 
 @pytest.mark.accuracy
 def test_method_full_merges_too(bags, tmp_path):
-    settings = FitSettings("full", i_max=300.0, harmonic_orders=(6,))
+    settings = FitSettings("full", i_max=300.0, harmonic_orders=(6,), search_orders=False, maps="reciprocal")
     for bag in bags:
         accumulate_bags(Sources([bag]), tmp_path / f"{bag.name}.info", settings)
     apart = fit_bags(Sources(sorted(tmp_path.glob("*.info"))), None, settings)

@@ -79,8 +79,7 @@ def test_an_exchanged_drive_is_refused(drives, tmp_path, other):
 
 
 @pytest.mark.cases
-@pytest.mark.parametrize("again", ["first", "hot"])
-@pytest.mark.parametrize("gap", [-3600.0, 0.5, 1000.0])
+@pytest.mark.parametrize(("again", "gap"), [("first", -3600.0), ("hot", 0.5), ("hot", 1000.0)])
 def test_a_restarted_drive_gives_one_map_of_both_parts(drives, tmp_path, again, gap):
     """Whatever its clock says, which may begin anew as well."""
     path = write(tmp_path / "bag", [drives["first"], drives[again]], gap)
@@ -140,12 +139,7 @@ def stronger_reciprocal(i_dq):
     return 1.2 * reciprocal_flux(i_dq)
 
 
-FULL = {
-    "the same": (0.010, reciprocal_flux),
-    "double": (0.020, reciprocal_flux),
-    "more": (0.0115, reciprocal_flux),
-    "other": (0.010, stronger_reciprocal),
-}
+FULL = {"the same": (0.010, reciprocal_flux), "more": (0.0115, reciprocal_flux), "other": (0.010, stronger_reciprocal)}
 
 
 @pytest.fixture(scope="module")

@@ -110,23 +110,6 @@ def test_a_change_of_parameters_stops(drive):
     assert np.hypot(*drive.references()[1].T).max() <= 50.0
 
 
-@pytest.mark.slow  # one of several hazards that end in the same way
-def test_the_speed_leaves_its_band(drive):
-    assert drive.set_parameters(speed_min=150.0, speed_max=250.0).successful  # 500 rpm are 209 rad/s
-    drive.run_without_end()
-    assert drive.set_parameters("bench_simulator", speeds=[1000.0]).successful
-    assert "above speed_max, 250 rad/s" in drive.wait_for_state("tripped").reason
-    drive.wait_for_message("above speed_max, 250 rad/s")
-    assert drive.status().level == b"\x02"
-    _, wanted = drive.ended_at_zero()
-    assert_smooth(wanted)
-    drive.refuses("Not started: it tripped before. The speed is ")
-    assert "Not cleared: The speed is 418.9 rad/s" in drive.trigger("clear_fault").message
-    assert drive.set_parameters("bench_simulator", speeds=[500.0]).successful
-    drive.clear()
-    drive.start()
-
-
 def test_the_current_exceeds_its_limit(drive):
     """A drive overshoots; a limit at the rim of the disc is too tight."""
     assert drive.set_parameters(current_limit=100.0, repeat=0).successful
@@ -245,17 +228,6 @@ def test_signals_end_the_publisher_with_zero_current():
         assert_smooth(wanted)  # ramped down, not cut off
         assert drive.bench.interrupt()[0] == 0
         assert "Traceback" not in ros.outputs()
-
-
-@pytest.mark.slow  # one of several hazards that end in the same way
-def test_a_publisher_that_vanishes_leaves_no_current_behind():
-    """References run out; the drive ramps down by itself."""
-    with ros_bench() as ros:
-        drive = LiveDrive(ros, clock=SimulatedTime(ros))
-        drive.run_without_end()
-        drive.publisher.vanish()
-        ros.wait(lambda: (bench := drive.status("bench_simulator")) and "no references" in bench.message, "the bench")
-        ros.wait(drive.is_at_zero, "zero current")
 
 
 @pytest.mark.slow  # the watchdog waits in real time

@@ -161,26 +161,6 @@ def test_of_two_emergency_stops_each_trips_and_none_releases_the_other(drive, bu
         drive.clear()
 
 
-@pytest.mark.slow  # two are a special case of one, which test_minimal_drive.py has
-def test_the_silence_of_each_of_two_emergency_stops_trips(drive, buttons):
-    from rcl_interfaces.srv import SetParameters
-    from rclpy.parameter import Parameter
-
-    def timeout(value):
-        given = [Parameter("emergency_stop_timeout", value=value).to_parameter_msg()]
-        reply = drive.ros.call(SetParameters, f"/{PUBLISHER}/set_parameters", parameters=given)
-        assert reply.results[0].successful
-
-    timeout(1.5)
-    for one in buttons:
-        drive.runs()
-        one.fall_silent()
-        drive.trips(f"The emergency stop ({one.publisher.topic_name}) is silent, longer than 1.5 s.")
-        one.timer.reset()
-        drive.clear()
-    timeout(math.nan)
-
-
 def test_of_two_on_one_topic_a_press_counts_and_a_release_only_of_the_last_one(drive, buttons):
     """Nothing in rclpy tells who has sent a message."""
     button, other = buttons[0], Button(drive.ros, FIRST)

@@ -351,10 +351,7 @@ def test_a_clock_that_is_not_there_or_stops(ros):
 def test_a_folder_that_is_removed_or_renamed(ros):
     recorder, bench = Recorder(ros, flush_period=0.1), Bench(ros)
     bench.wait_for_listeners()
-    for name, act in (
-        ("removed", shutil.rmtree),
-        ("renamed", lambda path: path.rename(path.with_name("elsewhere"))),
-    ):
+    for name, act in (("removed", shutil.rmtree), ("renamed", lambda path: path.rename(path.with_name("elsewhere")))):
         assert recorder.start(name).success
         bench.publish(10)
         recorder.wait_for_samples(phase_currents=1000)

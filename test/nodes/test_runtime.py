@@ -108,11 +108,7 @@ def test_a_node_that_cannot_keep_up_ends_all_the_same(ros):
 @pytest.mark.parametrize(
     ("module", "arguments", "sentence"),
     [
-        (
-            PUBLISHER,
-            ["--params-file", "nowhere.yaml"],
-            "TrajectoryPublisher: Invalid ROS arguments (Couldn't parse",
-        ),
+        (PUBLISHER, ["--params-file", "nowhere.yaml"], "TrajectoryPublisher: Invalid ROS arguments (Couldn't parse"),
         (CLIENT, ["-r", "__ns:=bad-name"], "characterize: Invalid ROS arguments (Couldn't parse"),
         (
             PUBLISHER,

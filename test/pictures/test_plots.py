@@ -20,12 +20,7 @@ from drive_id.messages import Message
 from drive_id.pictures.caption import Caption
 from drive_id.pictures.diagnostics import draw_diagnostics
 from drive_id.pictures.panels import Disc, levels
-from drive_id.pictures.plots import (
-    draw_flux_maps,
-    rendered,
-    result_pictures,
-    trajectory,
-)
+from drive_id.pictures.plots import draw_flux_maps, rendered, result_pictures, trajectory
 
 NAMES = ["diagnostics.png", "flux_map.png"]
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -315,7 +310,6 @@ def test_degenerate_results_are_drawn_without_a_warning(drive, excerpts, part):
         pictures = result_pictures(found, [excerpts[0].part(0, 50)])
         assert sorted(pictures) == NAMES
         assert all(size(picture)[0] == 1440 for picture in pictures.values())
-    assert sorted(result_pictures(drive, [])) == NAMES
 
 
 def test_the_settings_of_matplotlib_stay_as_they_are(drive):

@@ -21,7 +21,7 @@ from drive_id.errors import DataError
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import Samples
 
-GOOD_DRIVES = int(os.environ.get("DRIVE_ID_GOOD_DRIVES", "25"))
+GOOD_DRIVES = int(os.environ.get("DRIVE_ID_GOOD_DRIVES", "15"))
 """With 200, the test below takes some minutes."""
 
 

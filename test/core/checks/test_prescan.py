@@ -117,12 +117,7 @@ def test_a_trajectory_passes(good):
 
 @pytest.mark.parametrize(
     ("i_d", "i_q", "axis", "scale"),
-    [
-        (0.0, 0.0, "[dq]", 3),
-        (-50.0, 120.0, "[dq]", 3),
-        ("moves", 120.0, "q", 3),
-        (-50.0, "moves", "d", 3),
-    ],
+    [(0.0, 0.0, "[dq]", 3), (-50.0, 120.0, "[dq]", 3), ("moves", 120.0, "q", 3), (-50.0, "moves", "d", 3)],
 )
 def test_noise_is_no_trajectory(good, i_d, i_q, axis, scale):
     moves = 200 * np.sin(np.linspace(0, 20, len(good)))

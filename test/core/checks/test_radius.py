@@ -33,7 +33,7 @@ def samples():
 @pytest.mark.parametrize(
     ("i_max", "said"),
     [
-        (50.0, r"^i_max is 50 A but the recording reaches 300 A: .* beyond 52\.5 A .* set i_max to 300 A\.$"),
+        (140.0, r"^i_max is 140 A but the recording reaches 300 A: .* beyond 147 A .* set i_max to 300 A\.$"),
         (1500.0, r"^i_max is 1500 A but the currents reach only 300 A: the map covers 4\.\d % .* set i_max to 300 A "),
     ],
 )

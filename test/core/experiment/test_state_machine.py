@@ -234,11 +234,17 @@ def test_a_fault_that_lasts_does_not_flood_the_topic():
     assert run.drive.next < 300 + 50 + 100 + 110
 
 
-def test_two_overrides_within_one_sample_do_not_jump():
+@pytest.mark.parametrize("held_up", [0, 100 * MS])
+def test_two_overrides_within_one_sample_do_not_jump(held_up):
+    """Also where the last set-point that was published is due."""
     run = Run()
     run.start()
     run.ticks(30)
+    run.now += held_up
+    due = run.drive.at(run.now)
     run.experiment.stop(run.now, "stop")
+    np.testing.assert_allclose(run.experiment.current(run.now), due, atol=1e-6)
+    assert run.experiment.state(run.now) is ExperimentState.RUNNING  # until the next set-point is due
     run.advance()
     run.experiment.trip(run.now + 1000, "trip", immediate=False)
     run.advance()
@@ -298,6 +304,7 @@ def test_held_up_too_long():
     run.advance()
     assert "0.05 s too late" in run.experiment.trip_reason.replace("0.050", "0.05").replace("0.049", "0.05")
     assert np.all(run.drive.at(run.now + MS) == 0.0)
+    assert np.all(run.experiment.current(run.now) == 0.0)
     run.until_idle()
     ends_at_zero(run.drive.seen(), 100)
 

@@ -54,17 +54,23 @@ class OneWindow(SimpleNamespace):
         return self.i_dq[..., 0] + 1j * self.i_dq[..., 1]
 
 
-@pytest.mark.slow  # the oracle integrates in time
-def test_resistive_voltage_and_drop_over_a_sample_agree_with_integration_in_time():
-    """A linear machine, integrated by scipy over one sample of 15 degrees, with a drop that the current crosses."""
+def linear_machine(magnet, inductance, resistance, drop):
+    """Return a model and an estimate of it, with a drop, V, on a curve that bends at 25 mA."""
     model = FullModel(np.array([-10.0, -10.0]), np.array([10.0, 10.0]), 10.0, ())
-    inductance, magnet, resistance, period, speed = np.diag([2e-3, 3e-3]), np.array([0.1, 0.0]), 0.4, 2e-4, 1300.0
     estimate = np.zeros(model.size)
     grid = np.stack(np.meshgrid(*2 * [np.linspace(-10.0, 10.0, 41)]), axis=-1).reshape(-1, 2)
     rows = model.flux.rows(grid).sparse(model.flux.parameters).toarray()
     estimate[model.map] = np.linalg.lstsq(rows, (magnet + grid @ inductance).ravel())[0]
     estimate[RESISTANCE] = resistance
-    estimate[model.phase_columns()[1]] = 3.0  # V, on a curve that bends at 25 mA
+    estimate[model.phase_columns()[1]] = drop
+    return model, estimate
+
+
+@pytest.mark.slow  # the oracle integrates in time
+def test_resistive_voltage_and_drop_over_a_sample_agree_with_integration_in_time():
+    """A linear machine, integrated by scipy over one sample of 15 degrees, with a drop that the current crosses."""
+    inductance, magnet, resistance, period, speed = np.diag([2e-3, 3e-3]), np.array([0.1, 0.0]), 0.4, 2e-4, 1300.0
+    model, estimate = linear_machine(magnet, inductance, resistance, 3.0)
 
     def current(angle, psi_s):
         psi = np.exp(-1j * angle) * psi_s - magnet[0]
@@ -103,18 +109,42 @@ def test_resistive_voltage_and_drop_over_a_sample_agree_with_integration_in_time
         assert abs(found - expected) < 0.1 * abs(expected)  # the drop's step falls within one of eight parts
 
 
+def test_a_window_of_several_samples_is_the_sum_of_its_parts(monkeypatch):
+    """Up to the drop of a straight current, whose ends lie at each sample, or at every fourth one."""
+    model, estimate = linear_machine([0.1, 0.0], np.diag([2e-3, 2e-3]), 0.4, 3.0)
+
+    def course(share):
+        return 0.2 + share, 3.0 - 2.0j + share * (1.0 + 4.0j)
+
+    def integral(first, samples):
+        """Of so many of the four samples in which the machine turns by 1 rad, from one of them on."""
+        angle, i_dq = course(np.array([first, first + samples]) / 4)
+        windows = OneWindow(
+            angle=angle[None], period=np.array([2e-4]), duration=np.array([samples * 2e-4]), drop_scale=np.ones(1),
+            i_dq=np.stack([i_dq.real, i_dq.imag], axis=-1)[None],
+        )  # fmt: skip
+        return between_samples.between_samples(model, estimate, windows, (0.1 + 2e-3 * i_dq)[None])[0]
+
+    def straight(first, samples):
+        angle, i_dq = course(np.array([first, first + samples]) / 4)
+        line = np.interp(np.linspace(0.0, 1.0, 20_001), [0.0, 1.0], np.exp(1j * angle) * i_dq)
+        drop = model.shapes(frames.phases(line)) @ estimate[model.phase_columns()][:, 0]
+        return 2e-4 * samples * frames.space_vector(drop).mean()
+
+    whole = integral(0, 4)
+    assert sum(integral(k, 1) for k in range(4)) == pytest.approx(whole, rel=1e-3)
+    monkeypatch.setattr(between_samples, "spacing", lambda _: 4)
+    expected = sum(straight(k, 1) for k in range(4)) - straight(0, 4)
+    assert abs(expected) > 0.1 * abs(whole)
+    assert integral(0, 4) - whole == pytest.approx(expected, rel=1e-2)
+
+
 @pytest.mark.cases
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("inductance", [3e-5, 1e-6, 0.0])
 def test_what_cannot_be_found_by_iteration_is_left_out(inductance):
     """Resistance and drop divided by such inductances let the iteration diverge, as after a fit that is far off."""
-    model = FullModel(np.array([-10.0, -10.0]), np.array([10.0, 10.0]), 10.0, ())
-    estimate = np.zeros(model.size)
-    grid = np.stack(np.meshgrid(*2 * [np.linspace(-10.0, 10.0, 41)]), axis=-1).reshape(-1, 2)
-    rows = model.flux.rows(grid).sparse(model.flux.parameters).toarray()
-    estimate[model.map] = np.linalg.lstsq(rows, (inductance * grid).ravel())[0]
-    estimate[RESISTANCE] = 2.0
-    estimate[model.phase_columns()[1]] = 20.0
+    model, estimate = linear_machine(0.0, inductance * np.eye(2), 2.0, 20.0)
     angle = np.array([[0.0, 0.3]])
     windows = OneWindow(
         angle=angle, period=np.array([2e-4]), duration=np.array([2e-4]), drop_scale=np.ones(1),

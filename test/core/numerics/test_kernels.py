@@ -7,12 +7,9 @@ import numpy_oracles as oracles
 import pytest
 from scipy import sparse
 
-from drive_id.core.full import model as full_model
-from drive_id.core.maps import flux_models
-from drive_id.core.maps.flux_models import Polynomial, TensorSpline
-from drive_id.core.numerics import bspline, normal_equations, scans
+from drive_id.core.maps.flux_models import TensorSpline
+from drive_id.core.numerics import normal_equations, scans
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.paper import rows as paper_rows
 from drive_id.core.validation import current_simulation
 
 MODEL = TensorSpline(Axis(-10.0, 12.0, 8), Axis(-9.0, 9.0, 7))
@@ -23,29 +20,6 @@ def currents(count=500):
     random = np.random.default_rng(5).uniform(-14, 14, (count, 2))
     special = np.array([[-10.0, -9.0], [12.0, 9.0], [-10.0 + 22 / 5, -9.0 + 18 / 4], [np.nan, 0.0], [np.inf, -np.inf]])
     return np.concatenate([random, special])
-
-
-@pytest.mark.parametrize("order", [(0, 0), (1, 0), (0, 1)])
-def test_spline_rows(order):
-    i_dq = currents()
-    rows = MODEL._rows(i_dq, *order)
-    axes = np.array([[MODEL.d.low, MODEL.d.width], [MODEL.q.low, MODEL.q.width]])
-    column, value = np.empty_like(rows.column), np.empty_like(rows.value)
-    oracles.tensor_rows(i_dq, axes, MODEL.d.count, MODEL.q.count, *order, column, value)
-    ours = flux_models.BasisRows(column, value).dense(MODEL.parameters)
-    np.testing.assert_allclose(ours, rows.dense(MODEL.parameters), rtol=0, atol=1e-14)
-
-
-@pytest.mark.parametrize("model", [MODEL, Polynomial(3, 10.0)])
-def test_cross_products_of_rows(model):
-    random = np.random.default_rng(6)
-    t = np.linspace(0, 20, 3001)
-    rows = model.rows(np.stack([9 * np.cos(t), 8 * np.sin(1.3 * t)], axis=-1))
-    known, half_turn, valid = random.normal(size=(3000, 2, 3)), random.normal(size=3000), random.random(3000) < 0.8
-    grams = [np.ones((3 + model.parameters, 3 + model.parameters)) for _ in range(2)]
-    for add, gram in zip((paper_rows.add_rows, oracles.add_rows), grams, strict=True):
-        add(known, half_turn, valid, rows.column, rows.value, gram)
-    np.testing.assert_allclose(grams[1], grams[0], rtol=0, atol=1e-12 * np.abs(grams[0]).max())
 
 
 @pytest.mark.parametrize("rest", [0, 3, 50])
@@ -78,40 +52,6 @@ def test_the_map_that_a_simulation_uses_is_the_spline_continued():
         )
         np.testing.assert_allclose(point[[4, 6]], by_d, atol=1e-12)
         np.testing.assert_allclose(point[[5, 7]], by_q, atol=1e-12)
-
-
-@pytest.mark.parametrize("degree", [0, 1, 3, 4])
-def test_splines_on_bent_cells(degree):
-    edges = np.array([-3.0, -1.0, -0.25, 0.5, 2.0, 4.0])
-    knots = np.concatenate([np.full(degree, edges[0]), edges, np.full(degree, edges[-1])])
-    x = np.concatenate([np.random.default_rng(3).uniform(-4.0, 5.0, 200), edges])
-    found = []
-    for evaluate in (bspline.spline_values, oracles.spline_values):
-        cell, w = np.empty(len(x), np.int64), np.empty((len(x), degree + 1))
-        evaluate(x, knots, degree, cell, w)
-        found.append((cell, w))
-    np.testing.assert_array_equal(found[0][0], found[1][0])
-    np.testing.assert_allclose(found[0][1], found[1][1], rtol=1e-13, atol=1e-15)
-
-
-def test_products_and_ends_of_windows():
-    rng = np.random.default_rng(4)
-    cells, factors = rng.integers(0, 3, (2, 50)), rng.standard_normal((2, 50, 3))
-    tables = []
-    for multiply in (bspline.tensor_products, oracles.tensor_products):
-        column, value = np.empty((50, 2, 9), np.int32), np.empty((50, 2, 9))
-        multiply(cells[0], factors[0], cells[1], factors[1], 6, 0, column[:, 0], value[:, 0])
-        multiply(cells[1], factors[1], cells[0], factors[0], 6, 36, column[:, 1], value[:, 1])
-        tables.append((column, value))
-    np.testing.assert_array_equal(tables[0][0], tables[1][0])
-    np.testing.assert_allclose(tables[0][1], tables[1][1], rtol=1e-15)
-    turn, factor = rng.standard_normal((50, 2)), rng.standard_normal((2, 50))
-    t = sparse.random_array((150, 40), density=0.05, format="csr", rng=rng)
-    before = rng.standard_normal((50, 2, 40))
-    forms = [before.copy(), before.copy()]
-    for add, out in zip((full_model.add_end, oracles.add_end), forms, strict=True):
-        add(*tables[0], turn, np.array([0, 72]), factor, t.indptr, t.indices, t.data, out)
-    np.testing.assert_allclose(forms[0], forms[1], rtol=1e-12, atol=1e-12)
 
 
 def test_blocks_of_a_triangle():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from drive_id.bench.machine import default_amplitude
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.bench.swing import Swing, simulate_swing
+from drive_id.core.planning import free_shaft
 from drive_id.core.planning.free_shaft import plan_free_shaft
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import ConfigurationError
@@ -91,8 +93,18 @@ def test_a_current_controller_that_would_lose_the_currents_must_be_faster():
         plan_free_shaft(replace(SLOTLESS, inductance_d=5e-6, inductance_q=5e-6), 2e-4)
 
 
+POOR = [(0.7, 0.85), (1.2, 1.1)]
+"""What controllers assume, relative to the machine's inductances and magnet flux."""
+
+
+def test_a_plan_counts_on_the_controllers_that_are_simulated_below():
+    assert set(POOR) <= set(free_shaft._ASSUMED)
+    inductances, fluxes = zip(*POOR, strict=True)
+    assert set(free_shaft._ASSUMED) == set(product(inductances, fluxes))
+
+
 @pytest.mark.accuracy
-@pytest.mark.parametrize(("inductance", "magnet"), [(0.7, 0.85), (1.2, 1.1)])
+@pytest.mark.parametrize(("inductance", "magnet"), POOR)
 @pytest.mark.parametrize("machine", ["ipm", "spm", "pmsyrm"])
 def test_currents_follow_a_controller_of_poor_parameters_at_a_late_speed(machine, inductance, magnet):
     """Limits beyond which such controllers were seen to reach 1.3 and 1.8 i_max."""

@@ -90,10 +90,7 @@ def test_any_speed_and_direction(speed):
 def test_several_recordings_count_as_one(clean):
     half = len(clean) // 2
     parts = [
-        replace(
-            clean,
-            **{name: getattr(clean, name)[part] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")},
-        )
+        replace(clean, **{name: getattr(clean, name)[part] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")})
         for part in (slice(0, half + 1), slice(half, None))
     ]
     whole, split = (identify(recordings, FitSettings("joint")) for recordings in ([clean], parts))

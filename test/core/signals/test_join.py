@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drive_id.core.signals.join import join
-from drive_id.core.signals.period import check_agreement, measured_period
+from drive_id.core.signals.period import Spacings, check_agreement, measured_period
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import (
     DataError,
@@ -284,3 +284,19 @@ def test_ten_seconds_take_milliseconds():
     start = time.process_time()  # whatever else the machine does
     join(*signals)
     assert time.process_time() - start < 0.5
+
+
+def test_later_messages_count_for_the_period_as_the_first_ones_do():
+    """Of several lengths, with a rate that drifts, pauses, and times that stand still or were set back."""
+    count = np.tile([10, 20, 50], 100)
+    elapsed = count * (STEP + np.arange(300))
+    elapsed[[5, 70, 200]] += 10**9
+    elapsed[[8, 90]], elapsed[[11, 210]] = 0, -(10**9)
+    stamp = START + np.concatenate([[0], np.cumsum(elapsed)])[:-1]
+    few, every = Spacings(kept=30), Spacings()
+    for part in np.array_split(np.arange(300), 11):
+        few.add(stamp[part], count[part])
+        every.add(stamp[part], count[part])
+    assert few.period() == pytest.approx(every.period(), rel=1e-12)
+    assert few._first().shape == (2, 30)
+    assert every.period() == pytest.approx((STEP + 149.5) * 1e-9, rel=1e-4)

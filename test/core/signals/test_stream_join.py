@@ -294,3 +294,15 @@ def test_a_change_of_rate_is_a_fault_until_the_reset():
     end, _ = joined.finished()
     with pytest.raises(SamplePeriodError, match=r"/u changes from 0\.0001 to 0\.0002 s"):
         end.check()
+
+
+@pytest.mark.parametrize("size", [100, 50, 25])
+def test_a_partner_at_the_end_of_one_part_does_not_serve_again_in_the_next(size):
+    """Stamps of the clock jitter by 0.45 periods, so that samples 49 and 50 are near the same voltage."""
+    signals = plain(200)
+    stamp = signals[0].stamp.copy()
+    stamp[50] -= 55_000
+    signals[0] = replace(signals[0], stamp=stamp)
+    end, pieces = stream(signals, (size, size, size), [1, 2, 0] * 8, batch=size, locking=20)
+    assert_same(end, pieces, signals)
+    assert START + 50 * STEP - 55_000 not in concatenated(pieces)[0]

@@ -18,12 +18,7 @@ def saved(**arrays: np.ndarray) -> bytes:
 
 
 def member(
-    shape: tuple[int, ...],
-    kind: str,
-    content: bytes,
-    method: int = zipfile.ZIP_DEFLATED,
-    *,
-    unended: bool = False,
+    shape: tuple[int, ...], kind: str, content: bytes, method: int = zipfile.ZIP_DEFLATED, *, unended: bool = False
 ) -> bytes:
     """Return an npz whose one array declares a shape and holds other content; its header may be a text without end."""
     stream = io.BytesIO()

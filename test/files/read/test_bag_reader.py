@@ -20,6 +20,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drive_id.errors import ConfigurationError, MissingTopicError, SamplePeriodError
+from drive_id.files.messages.field_path import parse_field_path
+from drive_id.files.messages.message_reader import _time
 from drive_id.files.messages.messages import message_typestore, schema_text
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.info import bag_info
@@ -305,6 +307,15 @@ def test_sources_of_time(tmp_path, stamp, start):
     recording = read_recording(path, parse_signals(text, "test"))
     assert abs(recording.samples.stamp[0] - start) <= 1
     assert len(recording.samples) == 400
+
+
+@pytest.mark.parametrize(
+    ("time", "expected"), [(1.5, 1_500_000_000), ([1.5, 2.5], [1_500_000_000, 2_500_000_000]), (np.uint8(3), 3 * 10**9)]
+)
+def test_one_time_stands_for_a_message_and_several_for_its_samples(time, expected):
+    found = _time(parse_field_path("time", "stamp"), {"time": time}, 1e9)
+    assert isinstance(found, int) == isinstance(expected, int)
+    np.testing.assert_array_equal(found, expected)
 
 
 def test_interleaved_blocks_with_a_period_of_their_own(tmp_path):

@@ -72,9 +72,7 @@ def test_dq_quantities_of_their_own_angle_and_alpha_beta(tmp_path, truth):
     i_s = frames.space_vector(truth.i_abc)
     voltages = np.column_stack([frames.to_dq(truth.u_abc, own), np.rad2deg(own)])
     path = write_rows(
-        tmp_path / "bag",
-        {"/log": rows(truth, np.column_stack([i_s.real, i_s.imag]), voltages)},
-        {"/log": STAMPS},
+        tmp_path / "bag", {"/log": rows(truth, np.column_stack([i_s.real, i_s.imag]), voltages)}, {"/log": STAMPS}
     )
     found = read(path, signals("fields: ['data[0]', 'data[1]'], frame: alpha_beta",
                                "fields: ['data[2]', 'data[3]'], frame: dq, angle: data[4], angle_unit: deg",

@@ -13,7 +13,7 @@ from bag_samples import make_samples
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-from drive_id.errors import BagError, MessageTypeError, TruncatedBagError
+from drive_id.errors import BagError, MessageTypeError, NotABagError, TruncatedBagError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, schema_text
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.several import read_recording
@@ -204,3 +204,15 @@ def test_a_checksum_around_all_of_a_file(tmp_path):
         target.write_bytes(zstandard.ZstdCompressor(write_checksum=sealed).compress(bare.read_bytes()))
         assert checked(target) == sealed
     assert file.exists()
+
+
+def test_a_file_that_can_no_longer_be_opened_is_told(tmp_path, monkeypatch):
+    path = tmp_path / "x.mcap.zst"
+    path.write_bytes(zstandard.compress(MAGIC))
+
+    def refuse(_):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(container, "open_input", refuse)
+    with pytest.raises(NotABagError, match=r"cannot be read \(Permission denied\): check the path and its permissions"):
+        container.unpack_file(path, tmp_path)

@@ -83,6 +83,8 @@ def blamed(warning: Row) -> set[str]:
     code, values = warning["code"], warning["values"]
     if values.get("causes"):
         return named(*(effect.partition(" ")[0] for effect in values["causes"].split(",")))
+    if values.get("rivals"):  # which of them it is is open
+        return named(code, *values["rivals"].split(","))
     if "every" in values:  # a delay, told as that of a decimated log
         return named("decimated")
     if code == "misfit":

@@ -10,6 +10,7 @@ from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.effects.effect import Calibration, Reported
 from drive_id.core.full.fit import FullFit
+from drive_id.core.full.lack_of_fit import LackOfFit
 from drive_id.core.full.model import RESISTANCE
 from drive_id.core.full.solver import LEAST_TOLD
 from drive_id.core.full.standard_errors import sigma as fitted_sigma
@@ -23,8 +24,8 @@ _NEGLIGIBLE = 5e-4
 """Rms of the residuals beyond noise, relative to the integrated voltages, below which there is no warning: it cost no
 random drive 0.1 % of the flux."""
 _MOVED, _OF_SIGMA = 1e-3, 0.7
-"""Share of the flux that residuals beyond noise must move, or of the standard error of R (which they are a part of: as
-large as all else), to be warned of."""
+"""Share of the flux that residuals beyond noise, or a rival of an effect, must move to be warned of, or of the standard
+error of R, which they are a part of: as large as all else."""
 _CONCENTRATED = 1.5
 """Residuals at small currents, relative to all, from which on they are told to lie there."""
 _SUSPICIOUS = 0.15
@@ -60,15 +61,31 @@ def misfit_found(fit: FullFit) -> Message | None:
 
 def _moved(fit: FullFit) -> tuple[float, bool]:
     """Return by how much residuals beyond noise move the flux, relative, and whether that or R matters."""
-    model, misfit = fit.model, fit.assessment.misfit
-    currents = Windows.joined(fit.selection.search.sums.kept()).thinned(SEARCHED).i_dq[:, 0]
-    rows = model.flux.rows(currents)
-    flux = rows.dot(fit.solution.estimate[model.map])
-    changes = [rows.dot(change) for change in misfit.changes[model.map].T]
-    squares = sum((np.square(change) for change in changes), misfit.missed_at(currents, model.i_max))
-    moved = float(np.sqrt(np.mean(squares, axis=0).max() / np.mean(np.square(flux).sum(axis=1))))
+    misfit = fit.assessment.misfit
+    moved = _share_moved(fit, misfit.changes, misfit)
     of_resistance = float(np.linalg.norm(misfit.changes[RESISTANCE]))
     return moved, moved > _MOVED or of_resistance > _OF_SIGMA * fit.sigma(RESISTANCE)
+
+
+def _share_moved(fit: FullFit, changes: FloatArray, missed: LackOfFit | None = None) -> float:
+    """Return by how much changes (size, K) of the estimate move the flux, rms over the data, relative to it."""
+    model, windows = fit.model, Windows.joined(fit.selection.search.sums.kept())
+    currents = windows.thinned(SEARCHED).i_dq[:, 0]
+    rows = model.flux.rows(currents)
+    flux = rows.dot(fit.solution.estimate[model.map])
+    squares = sum(np.square(rows.dot(change)) for change in changes[model.map].T)
+    if missed is not None:
+        squares = squares + missed.missed_at(currents, model.i_max)
+    return float(np.sqrt(np.mean(squares, axis=0).max() / np.mean(np.square(flux).sum(axis=1))))
+
+
+def _open(fit: FullFit, name: str) -> bool:
+    """Tell whether a rival of an effect would move the flux or R by so much that a user must know."""
+    change = fit.assessment.by_rivals.get(name)
+    if change is None:
+        return False
+    of_resistance = abs(float(change[RESISTANCE]))
+    return _share_moved(fit, change[:, None]) > _MOVED or of_resistance > _OF_SIGMA * fit.sigma(RESISTANCE)
 
 
 def unseen_warning(fit: FullFit) -> Message | None:
@@ -113,6 +130,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             sigma_of=partial(_sigma_of, changes),
             met=partial(fit.met, taken.name),
             rivals=taken.rivals,
+            open=_open(fit, taken.name),
             several_speeds=several,
             resistance=float(estimate[RESISTANCE]),
             inductance=float(slopes[0, 0, 0]),

@@ -49,8 +49,9 @@ _LINEARIZATIONS, _CONFIRMATIONS = 4, 4
 """Most linearizations about the best set, and confirmations after which no other effects are tried: bounds of time."""
 _SAME_DELAY = 1e-3
 """Samples by which delays may differ and be one."""
-_CLOSE = 0.05
-"""Relative difference of savings below which two effects explain the residuals equally well."""
+_CLOSE, _INDIFFERENT = 0.05, 0.5 * _PRICE
+"""Relative difference of savings, or difference of scores, below which two effects explain the residuals equally well:
+between the latter, a misfit of the map decides."""
 _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
 _RIVAL = 0.3
@@ -293,7 +294,9 @@ def _taken(search: _Search, chosen: _Set, significant: Callable[[float], bool]) 
         rivals = {
             name
             for name, other, share in search.exchanged(chosen, member)
-            if share > 1 - _CLOSE and member not in _BESIDE and (name != DELAY or significant(other.delay))
+            if (share > 1 - _CLOSE or other.score < chosen.score + _INDIFFERENT)
+            and member not in _BESIDE
+            and (name != DELAY or significant(other.delay))
         }
         yield Taken(member, tuple(sorted(rivals)))
 

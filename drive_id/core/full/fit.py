@@ -13,7 +13,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import Delay, DelayJump, delay_jump
 from drive_id.core.full.lack_of_fit import LackOfFit
-from drive_id.core.full.linearized import EffectSearch, FoundEffects
+from drive_id.core.full.linearized import DELAY, EffectSearch, FoundEffects
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, effects_to_try, select, tested_causes
 from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver, correct_attenuation
@@ -41,9 +41,9 @@ class Assessment:
 
     # (size, B), first-order change of the estimate when each batch's residuals are left out; then the bias by the
     # penalties, the bound on the bias by current noise, what is uncertain of the current between samples and of a
-    # delay, the changes by the lack of fit, and last the change with the shapes of the inverter's curve. ``changes @
-    # changes.T`` is the covariance of the estimate, consistent for heteroscedastic and autocorrelated residuals, biases
-    # included.
+    # delay, the changes by the lack of fit and by rivals of effects, and last the change with the shapes of the
+    # inverter's curve. ``changes @ changes.T`` is the covariance of the estimate, consistent for heteroscedastic and
+    # autocorrelated residuals, biases included.
     changes: FloatArray
     misfit: LackOfFit  # residuals beyond noise
     speeds: FloatArray  # (N,), electrical speeds of windows, rad/s
@@ -57,6 +57,9 @@ class Assessment:
     outlying_time: float  # time of that batch, gaps not counted, s
     # mean square residual of the windows that are not kept over that of the kept ones, from which all else is judged
     unseen: float
+    # (size,), by effect: how the estimate changes, other than by effects, with that rival in its place that changes the
+    # map most
+    by_rivals: dict[str, FloatArray]
     jump: DelayJump | None = None  # where the delay of the voltages changes
 
 
@@ -199,7 +202,10 @@ def fit_full(
         batches, energy, times, misfit = residual_statistics(sums, solution, noise)
         biases = [solver.shrinkage(solution), bias_bound, UNCERTAIN_SHARE * solver.by_remainder(solution)]
         biases.append(_by_delay(solver, uncertain, selection))
-        changes = np.column_stack([batches, *biases, misfit.changes, _among_curves(solver, solution)])
+        by_rivals = _among_rivals(solver, uncertain, selection)
+        changes = np.column_stack(
+            [batches, *biases, misfit.changes, *by_rivals.values(), _among_curves(solver, solution)]
+        )
         weak = _weakest(sums.model, solution, changes)
         if weak is None:
             break
@@ -229,6 +235,7 @@ def fit_full(
         outlying_share=float(np.sqrt(energy.max() / max(solver.total_voltage, TINY))),
         outlying_time=float(times[energy.argmax()]),
         unseen=_unseen(sums, uncertain),
+        by_rivals=by_rivals,
         jump=jump,
     )
     return FullFit(model=sums.model, solution=solution, selection=selection, assessment=assessment)
@@ -257,6 +264,29 @@ def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> F
         return np.zeros(solver.model.size)
     other = float(np.clip(delay.value + found.delay.sigma, -MOST_DELAY, MOST_DELAY))
     return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate
+
+
+def _among_rivals(solver: Solver, solution: FullSolution, selection: Selection) -> dict[str, FloatArray]:
+    """Return the changes (size,) of the estimate with a rival in place of each effect that has any.
+
+    Which of them the drive has is open, and so is what the others have taken.
+    """
+    model, spec, out = solver.model, solution.spec, {}
+    for taken in selection.search.found.taken if spec.reciprocal else ():
+        others = tuple(name for name in spec.effects if name != taken.name)
+        delay = 0.0 if taken.name == DELAY else spec.delay
+        changes = []
+        for rival in taken.rivals if taken.name in (*spec.effects, DELAY) else ():
+            effects = others if rival == DELAY else tuple(sorted((*others, rival)))
+            alone = solver.solve(replace(spec, effects=effects, delay=delay))
+            if rival == DELAY:
+                alone = solver.solve(replace(alone.spec, delay=solver.delay(alone)[0]))
+            change = alone.estimate - solution.estimate
+            change[model.effects] = 0.0
+            changes.append(change)
+        if changes:
+            out[taken.name] = max(changes, key=lambda change: float(np.linalg.norm(change[model.map])))
+    return out
 
 
 def _among_curves(solver: Solver, solution: FullSolution) -> FloatArray:

@@ -102,7 +102,8 @@ class Reduced:
             return Subset(names, self.form[:base, :base], {})
         places = np.concatenate([place for _, place in own])
         within, across = self.form[np.ix_(places, places)], self.form[places, :base]
-        scale = np.sqrt(np.maximum(np.diag(within), TINY))
+        diagonal = np.diag(within)
+        scale = np.where(diagonal > 0, np.sqrt(np.maximum(diagonal, TINY)), np.inf)  # without data, a value is zero
         values = np.linalg.lstsq(within / scale[:, None] / scale, across / scale[:, None], rcond=_DEPENDENT)[0]
         values /= scale[:, None]
         left = self.form[:base, :base] - across.T @ values

@@ -92,6 +92,7 @@ class Reported:
     sigma_of: Callable[[FloatArray], FloatArray]  # standard errors (L,) of combinations (K, L)
     met: Callable[[int], bool]  # whether the data have any of a column
     rivals: tuple[str, ...]
+    open: bool  # whether one of them would change what users read
     several_speeds: bool
     resistance: float  # ohm
     inductance: float  # d psi_d / d i_d at zero current, H
@@ -106,7 +107,7 @@ class Reported:
         """Return a value and its standard error, shown in a unit of which an SI unit is ``scale``; ``more`` is told."""
         rivals = ",".join(self.rivals) or None
         told = {"value": value, "sigma": sigma, **more, "rivals": rivals, "several_speeds": self.several_speeds}
-        shown, doubtful = float(scale * value), rivals is not None or name == VOLTAGE_MISMATCH
+        shown, doubtful = float(scale * value), self.open or name == VOLTAGE_MISMATCH
         return Calibration(name, shown, float(scale * sigma), unit, True, Message(key or name, **told), doubtful)
 
     @cached_property

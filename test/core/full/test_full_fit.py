@@ -13,9 +13,10 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import window_sums
 from drive_id.core.full.calibration import corrected, rotated
-from drive_id.core.full.effect_report import unseen_warning
+from drive_id.core.full.effect_report import effect_entries, unseen_warning
 from drive_id.core.full.effects.effect import Calibration
-from drive_id.core.full.fit import fit_full, sigma
+from drive_id.core.full.fit import _among_rivals, fit_full, sigma
+from drive_id.core.full.linearized import Taken
 from drive_id.core.full.model import RESISTANCE, ModelSpec, delay_shares
 from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
 from drive_id.core.full.standard_errors import changes_by_batch, residual_statistics
@@ -152,6 +153,25 @@ def test_what_is_uncertain_of_a_delay_is_uncertain_of_the_map(samples):
     form[fit.model.map] = fit.model.flux.rows(np.zeros((1, 2))).sparse(fit.model.flux.parameters).toarray()[1]
     turned = fit.selection.search.found.delay.sigma * np.abs(fit.assessment.speeds).mean() * samples.sample_period
     assert sigma(form @ fit.assessment.changes) > 0.9 * turned * 0.08  # psi_q by psi_d = 80 mWb
+
+
+def test_what_a_rival_of_an_effect_would_change_is_uncertain_and_told_if_it_matters(samples):
+    fit = fitted(replace(samples, i_abc=samples.i_abc * np.array([1.006, 0.997, 0.997])))
+    (name,), rival = fit.spec.effects, "iron_loss"
+    search = fit.selection.search
+    search = replace(search, found=replace(search.found, taken=(Taken(name, (rival,)),)))
+    selection = replace(fit.selection, search=search)
+    change = _among_rivals(selection.solver, selection.solution, selection)[name]
+    with_rival = selection.solver.solve(replace(fit.spec, effects=(rival,)))
+    np.testing.assert_allclose(
+        change[fit.model.map], (with_rival.estimate - selection.solution.estimate)[fit.model.map], atol=1e-12
+    )
+    assert not change[fit.model.effects].any()
+    for factor, told in ((100.0, True), (1e-9, False)):
+        judged = replace(fit.assessment, by_rivals={name: factor * change})
+        for entry in effect_entries(replace(fit, selection=selection, assessment=judged)):
+            assert entry.doubtful == told
+            assert entry.message.values["rivals"] == rival
 
 
 @pytest.mark.accuracy

@@ -31,9 +31,9 @@ class CopperHeating(DriveEffect):
         return [at.windows.current * at.warmth]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        told, key = _relative(found, found.value[0]), "resistance_rise"
+        key, told = "", _relative(found, found.value[0])
         if np.isfinite(found.time_constant):
-            key, told = f"{key}.settling", {**told, "constant": found.time_constant}
+            key, told = "resistance_rise.settling", {**told, "constant": found.time_constant}
         yield found.entry("resistance_rise", found.value[0], found.sigma[0], "ohm", key, **told)
 
 

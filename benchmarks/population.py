@@ -48,7 +48,7 @@ CAUSES = {
     "heat": ("copper_heating", "magnet_heating", "resistance_rise", "magnet_flux_change"),
     "recordings": ("copper_recordings", "magnet_recordings", "resistance_change*", "magnet_flux_change_*"),
     "rotor": ("eccentric_rotor", "rotor_ecc*"),
-    "phases": ("phase_resistance", "resistance_[abc]"),
+    "phases": ("phase_resistance", "resistance_[abc]", "resistance_of_phase"),
     "inverter": ("devices", "wide_curve", "drop_negative", "voltage_error_negative", "misfit.small_currents"),
     "dc": ("dc_link*", "link_*", "voltage_clipped", "misfit", "misfit.small_currents"),
     "timing": (

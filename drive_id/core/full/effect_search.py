@@ -234,6 +234,7 @@ def search_effects(
         sums, plain, noise, tuple(allowed), turn, not several_speeds(noise.windows.speed.mean(axis=1)), least
     )
     state, chosen, search = _about_its_best(first, first, rules)
+    every = rules
     for number in count(1):
         state, chosen = _among_rivals(state, search, chosen)
         weak = _unconfirmed(state, search, chosen)
@@ -248,6 +249,7 @@ def search_effects(
         delay = Delay(chosen.delay, delay.sigma)
     elif turn > 0:
         delay = estimate_delay(state.solver, state.solution, noise)
+    search = replace(search, rules=every)  # what was not confirmed is a rival all the same
     taken = tuple(_taken(search, chosen, lambda value: Delay(value, delay.sigma).significant(turn)))
     extended = sums if not chosen.names and not remains(state.solver) else state.sums
     return replace(state, sums=extended, found=replace(state.found, taken=taken, delay=delay))

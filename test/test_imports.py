@@ -119,7 +119,8 @@ ROOMS = {
         NOUNS | EVERY_CORE | EVERY_FILE | {"drive_id.pictures"}, {"numpy", "pandas", "xarray", "typing_extensions"}
     ),
     "drive_id.fitting": Room.of(
-        NOUNS | LIBRARY | {"drive_id.pictures", "drive_id.reporting", "drive_id.result"}, {"numpy", "matplotlib"}
+        NOUNS | LIBRARY | {"drive_id.pictures", "drive_id.reporting", "drive_id.result"},
+        {"distributed", "matplotlib", "numpy"},
     ),
     "drive_id.inspection": Room.of(NOUNS | LIBRARY, {"numpy"}),
     "drive_id.analysis": Room.of(

@@ -40,6 +40,7 @@ LIBRARIES: dict[str, tuple[str, str | None]] = {
 }
 OPTIONAL = {
     "asammdf": "containers",
+    "distributed": "dask",
     "h5py": "containers",
     "nptdms": "containers",
     "pandas": "containers",

@@ -38,6 +38,8 @@ ELSEWHERE = {
     "drive-id fit BAG --output DIR --method locked": "of a locked rotor: test_locked.py",
     "drive-id import map.csv --columns": "a table with names of another tool: test_import_formats.py",
     "drive-id simulate --machine motor.npz": "needs a map beyond i_max: test_exports.py, test_cli.py",
+    "drive-id fit bags/* --i-max 300 --dask": "needs a cluster: test_cli_dask.py starts one",
+    "drive-id accumulate bags/* --i-max 300 --dask": "needs a cluster: test_cli_dask.py starts one",
     "ssh ": "on other computers; its words are checked",
     "drive-id fit monday.info tuesday.info --output all": "merges what the other computers wrote: test_sources.py",
     "python -m build": "test_packaging.py builds the wheel, and .ci/run both by make package",

@@ -60,6 +60,9 @@ LinkOption = Annotated[
     float | None, typer.Option("--u-dc", help="DC-link voltage, V.  \\[default: that of the result]", min=1e-3)
 ]
 WorkersOption = Annotated[int, typer.Option(help="Processes that read the bags.", min=1)]
+DaskOption = Annotated[
+    str | None, typer.Option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers read the bags instead.")
+]
 SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, with a warning.")]
 FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with fit settings.")]
 ForceFlag = Annotated[bool, typer.Option("--force", help="Replace other results, and write beside other files.")]

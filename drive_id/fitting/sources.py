@@ -1,7 +1,7 @@
 """What to fit from, and how several sources become one: each is accumulated on its own, then all are merged.
 
-The sources are read here one after the other, or on further processes (``workers``). The order of merging is fixed, so
-both give the same result.
+The sources are read here one after the other, on further processes (``workers``), or by an executor, which may be that
+of a cluster. The order of merging is fixed, so all give the same result.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,6 +21,7 @@ import numpy as np
 from drive_id.core.accumulation.accumulated import Accumulated, bounded
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.errors import ConfigurationError, DriveIdError, InformationError
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.signals_file import SignalMap, read_signals
@@ -52,8 +54,9 @@ class Sources:
     paths: Sequence[Path]  # bags (folders or files) and information files of one drive
     signals: SignalMap | None = None  # where the signals are in bags with other messages than ours
     namespace: str = ""  # of the drive, when a bag holds several
-    workers: int = 1  # processes that read the sources; 1: this one
+    workers: int = 1  # processes that read the sources; 1: this one, or as many as the executor has
     skip_bad: bool = False  # leave out sources that cannot be used, with a warning for each
+    executor: Executor | None = None  # what reads the sources instead of processes of ours
 
     def __post_init__(self) -> None:
         if not self.paths:
@@ -140,13 +143,16 @@ def accumulate_sources(sources: Sources, settings: FitSettings, tell: Progress =
     Raises DriveIdError when a source cannot be used, or information files were accumulated differently.
     """
     workers = min(sources.workers, len(sources.paths))
+    elsewhere = sources.executor is not None  # perhaps in another folder
+    paths = [path.absolute() for path in sources.paths] if elsewhere else sources.paths
+    asked = replace(sources, paths=paths[:1], executor=None)  # goes along with each path, so without the others
     if settings.i_max is None:
-        radii = list(in_processes(partial(radius_of, sources=sources), sources.paths, workers))
+        radii = list(in_processes(partial(radius_of, sources=asked), paths, workers, sources.executor))
         settings = replace(settings, i_max=_common_radius(sources, radii))
-    work = partial(_accumulated, sources=sources, threads=workers == 1)  # else a process is a core's
-    each = ((path, settings.of_recording(number)) for number, path in enumerate(sources.paths))
+    work = partial(_accumulated, sources=asked, threads=workers == 1 and not elsewhere)  # else a process is a core's
+    each = ((path, settings.of_recording(number)) for number, path in enumerate(paths))
     refused: list[DriveIdError] = []
-    with closing(in_processes(work, each, workers)) as parts:
+    with closing(in_processes(work, each, workers, sources.executor)) as parts:
         found = pairwise(_usable(parts, sources, refused, tell), _merged)
     if found is None:
         raise refused[0]
@@ -165,7 +171,13 @@ def _usable(
                 raise part
             refused.append(part)
         tell("Accumulating", done / len(sources.paths))
-        yield None if isinstance(part, DriveIdError) else part
+        if isinstance(part, DriveIdError):
+            yield None
+        elif len(sources.paths) > 1:
+            path = sources.paths[done - 1]
+            yield replace(part, warnings=tuple(message.of(path) for message in part.warnings))
+        else:
+            yield part
 
 
 def _merged(one: Accumulated | None, other: Accumulated | None) -> Accumulated | None:
@@ -226,7 +238,10 @@ def _accumulated(source: tuple[Path, FitSettings], sources: Sources, *, threads:
         if is_information(path):
             found = read_information(path).accumulated
         else:
-            found = accumulate([path], settings, signals=sources.signals, namespace=sources.namespace, threads=threads)
+            with one_blas_thread():  # whatever the process that this is
+                found = accumulate(
+                    [path], settings, signals=sources.signals, namespace=sources.namespace, threads=threads
+                )
     except DriveIdError as error:
         return _naming(path, error)
     if is_information(path):
@@ -244,8 +259,7 @@ def _accumulated(source: tuple[Path, FitSettings], sources: Sources, *, threads:
                 f"{path} was accumulated differently ({difference}) and cannot be merged: accumulate it again with "
                 "these settings, or remove them."
             )
-    said = tuple(message.of(path) for message in found.warnings) if len(sources.paths) > 1 else found.warnings
-    return replace(found, warnings=said, validation=bounded(found.validation))
+    return replace(found, validation=bounded(found.validation))
 
 
 def _naming(source: Path, error: DriveIdError) -> DriveIdError:

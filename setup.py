@@ -16,6 +16,8 @@ CONTAINERS = ["asammdf>=7.4", "h5py>=3.8", "npTDMS>=1.7", "pandas>=2", "pyarrow>
 WEB = ["starlette>=0.36", "uvicorn>=0.27"]
 # For "drive-id fit --dask": the oldest version for Python 3.10 to 3.13 that was tried.
 DASK = ["distributed>=2024.12"]
+# For recordings on object storage; s3fs, gcsfs and others come on top.
+REMOTE = ["fsspec>=2024.2"]
 # Programs that the tests read exported maps with.
 READERS = ["fmpy>=0.3.20", 'motulator>=0.18; python_version >= "3.12"']
 TABLES = ["pandas>=2", "xarray>=2023.1"]
@@ -113,6 +115,7 @@ setup(
     extras_require={
         "containers": CONTAINERS,
         "dask": DASK,
+        "remote": REMOTE,
         "tables": TABLES,
         "web": WEB,
         "test": [
@@ -126,6 +129,7 @@ setup(
             *CONTAINERS,
             *DASK,
             *READERS,
+            *REMOTE,
             *TABLES,
             *WEB,
         ],

@@ -110,7 +110,8 @@ ROOMS = {
     "drive_id.files": Room.of(set(), set()),
     **{
         f"drive_id.files.{name}": Room.of(
-            NOUNS | EVERY_CORE | below("files", *rooms), STORED | (CONTAINERS if name == "logs" else set())
+            NOUNS | EVERY_CORE | below("files", *rooms),
+            STORED | {"logs": CONTAINERS, "inputs": {"fsspec"}}.get(name, set()),
         )
         for name, rooms in FILES.items()
     },

@@ -40,6 +40,7 @@ ELSEWHERE = {
     "drive-id simulate --machine motor.npz": "needs a map beyond i_max: test_exports.py, test_cli.py",
     "drive-id fit bags/* --i-max 300 --dask": "needs a cluster: test_cli_dask.py starts one",
     "drive-id accumulate bags/* --i-max 300 --dask": "needs a cluster: test_cli_dask.py starts one",
+    "drive-id fit s3://bench/monday": "needs a storage: test_remote.py has one in memory",
     "ssh ": "on other computers; its words are checked",
     "drive-id fit monday.info tuesday.info --output all": "merges what the other computers wrote: test_sources.py",
     "python -m build": "test_packaging.py builds the wheel, and .ci/run both by make package",

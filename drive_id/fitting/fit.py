@@ -60,8 +60,8 @@ def fit(
     Parameters
     ----------
     recordings : path, Samples, OperatingData, or a sequence of one of them
-        Bags (folders or files) and information files (``drive-id accumulate``), in any mixture; or samples; or, for
-        method ``static``, slow telemetry in d and q.
+        Bags (folders or files) and information files (``drive-id accumulate``), in any mixture, also as URLs of
+        object storage (``s3://...``); or samples; or, for method ``static``, slow telemetry in d and q.
     method : {"full", "joint", "psm", "static"}, optional
         Default: that of ``settings``; ``static`` for OperatingData.
     i_max : float, optional
@@ -188,7 +188,7 @@ def fit_bags(
     ``force`` replaces the result of other recordings and writes into a folder that holds other files. Raises
     DriveIdError; nothing is written then.
     """
-    if output is not None and is_result(output) and not (sources.information or sources.skip_bad):
+    if output is not None and is_result(output) and not (sources.information or sources.skip_bad or sources.remote):
         check_recordings(output, digests_of(sources.paths), force=force)  # before the work; again when it is written
     return _saved(partial(_fit_sources, sources, settings, tell), output, force=force, tell=tell)
 
@@ -247,6 +247,7 @@ def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell:
 
 def _accumulated(sources: Sources, settings: FitSettings, tell: Progress, *, apart: bool = False) -> Accumulated:
     """Accumulate the sources together, or each on its own."""
-    if apart or sources.skip_bad or sources.information or sources.workers > 1 or sources.executor:
+    apart = apart or sources.skip_bad or sources.remote or sources.workers > 1
+    if apart or sources.information or sources.executor:
         return accumulate_sources(sources, settings, tell)
     return accumulate(sources.paths, settings, signals=sources.signals, namespace=sources.namespace, tell=tell)

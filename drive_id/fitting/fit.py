@@ -80,7 +80,7 @@ def fit(
         Processes that read the recordings; a script that asks for several needs ``if __name__ == "__main__":``.
     executor : concurrent.futures.Executor, optional
         What reads the recordings instead: processes, or a cluster (Dask, MPI) that has drive_id and sees the same
-        files. It gets 64 recordings at a time, or twice as many as ``workers``, if that tells how many it has.
+        files. It gets 32 recordings at a time, or twice as many as ``workers``, if that tells how many it has.
     skip_bad : bool
         Leave out recordings that cannot be used, with a warning for each.
     tell : callable, optional

@@ -26,8 +26,8 @@ Arguments = ParamSpec("Arguments")
 
 _AHEAD = 2
 """Pieces of work per process that are under way or wait to be taken: results of tens of MB must not pile up."""
-_AHEAD_ANYWHERE = 64
-"""Likewise for all workers of an executor that does not tell their number: sums of 40 MB, at most, are 2.6 GB."""
+_AHEAD_ANYWHERE = 32
+"""Likewise for all workers of an executor that does not tell their number: sums of 92 MB (``full``) are 3 GB."""
 _GRACE = 2.0
 """Time for a process to remove its temporary files, s; it takes milliseconds, longer only amid compiled code."""
 

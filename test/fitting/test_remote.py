@@ -53,7 +53,7 @@ def store(bag, other, tmp_path, monkeypatch):
 
 
 def test_a_url_survives_being_a_path():
-    for url in ("s3://bucket/monday/bag_0.mcap", "memory://bag", "gs://bucket/a b"):
+    for url in ("s3://bucket/monday/bag_0.mcap", "memory://bag", "gs://bucket/a b", "file:///data/bag"):
         assert url_of(Path(url)) == url
     for path in ("bag", "/data/bag", "C:/bag", "a:b/c", "../s3:/bag"):
         assert not url_of(Path(path))

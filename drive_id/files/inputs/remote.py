@@ -20,7 +20,10 @@ _URL = re.compile(r"([a-z][a-z0-9+-]+):/(.*)")
 def url_of(path: Path) -> str:
     """Return the URL that became a path, which has one slash less: ``s3://bucket/bag``; empty for a file from here."""
     found = _URL.fullmatch(str(path))
-    return f"{found[1]}://{found[2]}" if found else ""
+    if not found:
+        return ""
+    root = "/" if found[1] in ("file", "local") else ""  # without a host, but with the root
+    return f"{found[1]}://{root}{found[2]}"
 
 
 def shown(path: Path) -> str:

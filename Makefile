@@ -2,7 +2,8 @@
 #
 # The environment is made by tools/setup_environment.py; docs/adr/0001-ros-from-pypi.md says why and how.
 
-PYTHON ?= python3
+# The Python that the environment is made with; empty: one that fits, see tools/fitting_python.sh.
+PYTHON ?=
 ifdef ROS_DISTRO
 DISTRO ?= $(ROS_DISTRO)
 VENV := .venv
@@ -45,13 +46,11 @@ PYTEST := DRIVE_ID_REQUIRE_ROS=1 PYTHONDONTWRITEBYTECODE= python -m pytest
 .PHONY: help setup demo check quick test test-all test-rest bench population safety fuzz endure lint ament docs coverage mutation package colcon clean
 
 help: ## list these targets
-	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3]"
+	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3.13]"
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' Makefile | expand -t 12
 
 setup: ## make or update the environment (.venv, or .venv-DISTRO): ROS 2, dependencies, messages, drive_id
-	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null || { echo "drive_id: $(PYTHON) is not a \
-	Python 3.10 or newer: install one, or name it (make PYTHON=/path/to/python3 ...)." >&2; exit 1; }
-	@$(PYTHON) tools/setup_environment.py --venv $(VENV) --distro $(DISTRO)
+	@python=$$(sh tools/fitting_python.sh $(PYTHON)) && "$$python" tools/setup_environment.py --venv $(VENV) --distro $(DISTRO)
 
 demo: setup ## simulate a drive, identify it, and leave the results in out/demo: make demo ARGS=--free-shaft
 	@$(RUN) bash examples/demo.sh $(OUT) $(ARGS)

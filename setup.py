@@ -14,6 +14,10 @@ NAME = "drive_id"
 CONTAINERS = ["asammdf>=7.4", "h5py>=3.8", "npTDMS>=1.7", "pandas>=2", "pyarrow>=14"]
 # For "drive-id serve".
 WEB = ["starlette>=0.36", "uvicorn>=0.27"]
+# For "drive-id fit --dask": the oldest version for Python 3.10 to 3.13 that was tried.
+DASK = ["distributed>=2024.12"]
+# For recordings on object storage; s3fs, gcsfs and others come on top.
+REMOTE = ["fsspec>=2024.2"]
 # Programs that the tests read exported maps with.
 READERS = ["fmpy>=0.3.20", 'motulator>=0.18; python_version >= "3.12"']
 TABLES = ["pandas>=2", "xarray>=2023.1"]
@@ -110,6 +114,8 @@ setup(
     # colcon runs 0 tests, and reports success, unless the extra "test" names pytest.
     extras_require={
         "containers": CONTAINERS,
+        "dask": DASK,
+        "remote": REMOTE,
         "tables": TABLES,
         "web": WEB,
         "test": [
@@ -121,7 +127,9 @@ setup(
             "pytest-xdist>=3.5",
             "selenium>=4.16",
             *CONTAINERS,
+            *DASK,
             *READERS,
+            *REMOTE,
             *TABLES,
             *WEB,
         ],

@@ -110,7 +110,8 @@ ROOMS = {
     "drive_id.files": Room.of(set(), set()),
     **{
         f"drive_id.files.{name}": Room.of(
-            NOUNS | EVERY_CORE | below("files", *rooms), STORED | (CONTAINERS if name == "logs" else set())
+            NOUNS | EVERY_CORE | below("files", *rooms),
+            STORED | {"logs": CONTAINERS, "inputs": {"fsspec"}}.get(name, set()),
         )
         for name, rooms in FILES.items()
     },
@@ -119,7 +120,8 @@ ROOMS = {
         NOUNS | EVERY_CORE | EVERY_FILE | {"drive_id.pictures"}, {"numpy", "pandas", "xarray", "typing_extensions"}
     ),
     "drive_id.fitting": Room.of(
-        NOUNS | LIBRARY | {"drive_id.pictures", "drive_id.reporting", "drive_id.result"}, {"numpy", "matplotlib"}
+        NOUNS | LIBRARY | {"drive_id.pictures", "drive_id.reporting", "drive_id.result"},
+        {"distributed", "matplotlib", "numpy"},
     ),
     "drive_id.inspection": Room.of(NOUNS | LIBRARY, {"numpy"}),
     "drive_id.analysis": Room.of(

@@ -40,6 +40,8 @@ LIBRARIES: dict[str, tuple[str, str | None]] = {
 }
 OPTIONAL = {
     "asammdf": "containers",
+    "distributed": "dask",
+    "fsspec": "remote",
     "h5py": "containers",
     "nptdms": "containers",
     "pandas": "containers",

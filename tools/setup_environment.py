@@ -27,6 +27,8 @@ from typing import NoReturn, TextIO
 ROOT = Path(__file__).resolve().parent.parent
 SITE_PACKAGES = f"lib/python{sys.version_info.major}.{sys.version_info.minor}/site-packages"
 WHEELS_FOR = range(10, 14)  # minor versions of CPython that have ROS 2 wheels
+CMAKE = "cmake>=3.22"
+"""From the Python package index, where the system has none; at least that of Ubuntu 22.04."""
 HEARTBEAT = 10.0  # s between signs of life of a command
 
 
@@ -146,7 +148,6 @@ def check_prerequisites(environment: Environment) -> None:
         ("C compiler", [os.environ.get("CC") or "cc", "gcc", "clang"], "build-essential"),
         ("C++ compiler", [os.environ.get("CXX") or "c++", "g++", "clang++"], "build-essential"),
         ("make", ["make"], "build-essential"),
-        ("CMake", ["cmake"], "cmake"),
     ):
         if not any(shutil.which(name) for name in names):
             fail(f"There is no {tool}, which building the messages needs: install one ({apt} {package}).")
@@ -184,6 +185,8 @@ def install_packages(environment: Environment, locks: list[Path], requirements: 
             "pip could not install ROS 2: see above. If a hash differs, the index holds another file than tested.",
         )
     command: list[str | Path] = [environment.python, "-m", "pip", "install", "--editable", ".[test]"]
+    if not shutil.which("cmake"):
+        command.append(CMAKE)
     for file in requirements:
         command += ["--requirement", file]
     if environment.sourced:

@@ -7,7 +7,7 @@ import io
 import os
 import signal
 import sys
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
@@ -26,6 +26,8 @@ from drive_id.errors import DriveIdError, OutputError
 from drive_id.version import VERSION
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from drive_id.fitting.result import Identification
     from drive_id.fitting.sources import Sources
 
@@ -217,6 +219,7 @@ def fit(
     config: options.FitConfigOption = None,
     settings: options.SetOption = None,
     workers: options.WorkersOption = 1,
+    dask: options.DaskOption = None,
     skip_bad: options.SkipFlag = False,
     figures: Annotated[
         bool | None,
@@ -249,7 +252,7 @@ def fit(
         stored,
     )  # fmt: skip
     output = output or options.beside(bags[0], f"_{chosen.method}")
-    with console.working(quiet or as_json) as tell:
+    with console.working(quiet or as_json) as tell, _placed(sources, dask) as sources:
         result = fit_bags(sources, output, chosen, force=force, tell=tell)
     if as_json:
         console.print_json({"path": str(output)} | results_tree(result.drive, result.provenance))
@@ -284,6 +287,18 @@ def _sources(paths: list[Path], signals: Path | None, namespace: str, workers: i
     return Sources(paths, read_signals(signals) if signals else None, namespace, workers, skip_bad)
 
 
+@contextmanager
+def _placed(sources: "Sources", dask: str | None) -> "Iterator[Sources]":
+    """Give the sources as they are read here, or by the workers of a Dask cluster."""
+    if dask is None:
+        yield sources
+        return
+    from drive_id.fitting.dask_cluster import on_dask
+
+    with on_dask(sources, dask) as placed:
+        yield placed
+
+
 @app.command(
     cls=options.listing("drive_id.core.fit_settings:FitSettings"),
     epilog="Example: drive-id accumulate mon --i-max 300 --output mon.info; drive-id fit mon.info tue --output all",
@@ -307,6 +322,7 @@ def accumulate(
     config: options.FitConfigOption = None,
     settings: options.SetOption = None,
     workers: options.WorkersOption = 1,
+    dask: options.DaskOption = None,
     skip_bad: options.SkipFlag = False,
     as_json: options.JsonFlag = False,
     quiet: options.QuietFlag = False,
@@ -318,7 +334,7 @@ def accumulate(
     chosen = options.merged_settings(FitSettings, config, settings, {"method": method, "i_max": i_max})
     sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
     output = output or options.beside(bags[0], ".info")
-    with console.working(quiet or as_json) as tell:
+    with console.working(quiet or as_json) as tell, _placed(sources, dask) as sources:
         result = accumulate_bags(sources, output, chosen, tell)
     if as_json:
         console.print_json({"information": str(output)} | information_tree(result))

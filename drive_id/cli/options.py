@@ -16,6 +16,7 @@ from typer.core import TyperCommand
 
 from drive_id.cli.console import printable
 from drive_id.errors import ConfigurationError
+from drive_id.files.inputs.remote import url_of
 from drive_id.quantity import spelled
 from drive_id.settings import from_mapping
 
@@ -60,6 +61,9 @@ LinkOption = Annotated[
     float | None, typer.Option("--u-dc", help="DC-link voltage, V.  \\[default: that of the result]", min=1e-3)
 ]
 WorkersOption = Annotated[int, typer.Option(help="Processes that read the bags.", min=1)]
+DaskOption = Annotated[
+    str | None, typer.Option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers read the bags instead.")
+]
 SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, with a warning.")]
 FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with fit settings.")]
 ForceFlag = Annotated[bool, typer.Option("--force", help="Replace other results, and write beside other files.")]
@@ -132,9 +136,9 @@ def merged_settings(
 def beside(source: Path, ending: str) -> Path:
     """Return a path beside the input, its name with an ending (``log_full``), numbered where that is taken.
 
-    The suffix of a file is left out; a number stands before that of the ending.
+    Beside a URL is here. The suffix of a file is left out; a number stands before that of the ending.
     """
-    where = source.absolute()
+    where = Path(source.name).absolute() if url_of(source) else source.absolute()
     name = where.name if where.is_dir() else where.stem
     stem, dot, suffix = ending.partition(".")
     numbered = (where.with_name(f"{name}{stem}{f'_{n}' if n > 1 else ''}{dot}{suffix}") for n in count(1))

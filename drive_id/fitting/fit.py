@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -48,6 +49,7 @@ def fit(
     output: StrPath | None = None,
     force: bool = False,
     workers: int = 1,
+    executor: Executor | None = None,
     skip_bad: bool = False,
     tell: Progress = silent,
 ) -> Identification:
@@ -58,8 +60,8 @@ def fit(
     Parameters
     ----------
     recordings : path, Samples, OperatingData, or a sequence of one of them
-        Bags (folders or files) and information files (``drive-id accumulate``), in any mixture; or samples; or, for
-        method ``static``, slow telemetry in d and q.
+        Bags (folders or files) and information files (``drive-id accumulate``), in any mixture, also as URLs of
+        object storage (``s3://...``); or samples; or, for method ``static``, slow telemetry in d and q.
     method : {"full", "joint", "psm", "static"}, optional
         Default: that of ``settings``; ``static`` for OperatingData.
     i_max : float, optional
@@ -76,6 +78,9 @@ def fit(
         Let ``output`` be a folder that holds other files.
     workers : int
         Processes that read the recordings; a script that asks for several needs ``if __name__ == "__main__":``.
+    executor : concurrent.futures.Executor, optional
+        What reads the recordings instead: processes, or a cluster (Dask, MPI) that has drive_id and sees the same
+        files. It gets 32 recordings at a time, or twice as many as ``workers``, if that tells how many it has.
     skip_bad : bool
         Leave out recordings that cannot be used, with a warning for each.
     tell : callable, optional
@@ -100,11 +105,13 @@ def fit(
     target = None if output is None else Path(output)
     chosen = _chosen(settings, samples, method=method, i_max=i_max)
     if samples:
-        if signals or namespace or workers > 1 or skip_bad:
-            raise ConfigurationError("signals, namespace, workers and skip_bad are about bags: leave them out.")
+        if signals or namespace or workers > 1 or executor or skip_bad:
+            raise ConfigurationError(
+                "signals, namespace, workers, executor and skip_bad are about bags: leave them out."
+            )
         own = replace(settings or FitSettings(), **chosen)
         return _saved(partial(_fit_memory, samples, own, tell), target, force=force, tell=tell)
-    sources = Sources(paths, signal_map, namespace, workers, skip_bad)
+    sources = Sources(paths, signal_map, namespace, workers, skip_bad, executor)
     settings = replace(settings or sources.stored_settings() or FitSettings(), **chosen)
     return fit_bags(sources, target, settings, force=force, tell=tell)
 
@@ -181,7 +188,7 @@ def fit_bags(
     ``force`` replaces the result of other recordings and writes into a folder that holds other files. Raises
     DriveIdError; nothing is written then.
     """
-    if output is not None and is_result(output) and not (sources.information or sources.skip_bad):
+    if output is not None and is_result(output) and not (sources.information or sources.skip_bad or sources.remote):
         check_recordings(output, digests_of(sources.paths), force=force)  # before the work; again when it is written
     return _saved(partial(_fit_sources, sources, settings, tell), output, force=force, tell=tell)
 
@@ -240,6 +247,7 @@ def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell:
 
 def _accumulated(sources: Sources, settings: FitSettings, tell: Progress, *, apart: bool = False) -> Accumulated:
     """Accumulate the sources together, or each on its own."""
-    if apart or sources.skip_bad or sources.information or sources.workers > 1:
+    apart = apart or sources.skip_bad or sources.remote or sources.workers > 1
+    if apart or sources.information or sources.executor:
         return accumulate_sources(sources, settings, tell)
     return accumulate(sources.paths, settings, signals=sources.signals, namespace=sources.namespace, tell=tell)

@@ -1,4 +1,4 @@
-"""Work on further processes of this machine, its results in the order of the work."""
+"""Work on further processes, of this machine or of any executor, its results in the order of the work."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -26,22 +26,37 @@ Arguments = ParamSpec("Arguments")
 
 _AHEAD = 2
 """Pieces of work per process that are under way or wait to be taken: results of tens of MB must not pile up."""
+_AHEAD_ANYWHERE = 32
+"""Likewise for all workers of an executor that does not tell their number: sums of 92 MB (``full``) are 3 GB."""
 _GRACE = 2.0
 """Time for a process to remove its temporary files, s; it takes milliseconds, longer only amid compiled code."""
 
 
-def in_processes(work: Callable[[Item], Result], items: Iterable[Item], count: int) -> Generator[Result]:
+def in_processes(
+    work: Callable[[Item], Result], items: Iterable[Item], count: int, executor: Executor | None = None
+) -> Generator[Result]:
     """Yield ``work(item)`` of each item in order, computed by ``count`` processes, or by this one if that is 1.
 
     The processes end with the iteration, also when it is left early or interrupted.
 
+    With ``executor``, it computes instead, and goes on after the iteration; it has ``count`` workers, or an unknown
+    number of them if that is 1.
+
     Raises WorkerError when a process dies, as without memory.
     """
+    if executor is not None:
+        try:
+            yield from in_order(work, items, executor, _AHEAD * count if count > 1 else _AHEAD_ANYWHERE)
+        except BrokenExecutor as error:
+            raise WorkerError(
+                "A process of the executor has died, probably for lack of memory: give it fewer workers."
+            ) from error
+        return
     if count == 1:
         yield from map(work, items)
         return
-    with processes(count) as executor:
-        yield from in_order(work, items, executor, _AHEAD * count)
+    with processes(count) as ours:
+        yield from in_order(work, items, ours, _AHEAD * count)
 
 
 def in_order(

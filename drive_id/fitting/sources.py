@@ -1,7 +1,7 @@
 """What to fit from, and how several sources become one: each is accumulated on its own, then all are merged.
 
-The sources are read here one after the other, or on further processes (``workers``). The order of merging is fixed, so
-both give the same result.
+The sources are read here one after the other, on further processes (``workers``), or by an executor, which may be that
+of a cluster. The order of merging is fixed, so all give the same result.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Executor
 from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -20,7 +21,9 @@ import numpy as np
 from drive_id.core.accumulation.accumulated import Accumulated, bounded
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
-from drive_id.errors import ConfigurationError, DriveIdError, InformationError
+from drive_id.core.numerics.threads import one_blas_thread
+from drive_id.errors import ConfigurationError, DriveIdError, InformationError, NotABagError
+from drive_id.files.inputs.remote import fetched, shown, url_of
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.signals_file import SignalMap, read_signals
 from drive_id.files.read.column_stream import largest_reference
@@ -52,8 +55,9 @@ class Sources:
     paths: Sequence[Path]  # bags (folders or files) and information files of one drive
     signals: SignalMap | None = None  # where the signals are in bags with other messages than ours
     namespace: str = ""  # of the drive, when a bag holds several
-    workers: int = 1  # processes that read the sources; 1: this one
+    workers: int = 1  # processes that read the sources; 1: this one, or as many as the executor has
     skip_bad: bool = False  # leave out sources that cannot be used, with a warning for each
+    executor: Executor | None = None  # what reads the sources instead of processes of ours
 
     def __post_init__(self) -> None:
         if not self.paths:
@@ -66,14 +70,19 @@ class Sources:
         """Those of the paths that are information files."""
         return [path for path in self.paths if is_information(path)]
 
+    @property
+    def remote(self) -> bool:
+        """Whether any of the paths is a URL."""
+        return any(map(url_of, self.paths))
+
     def stored_settings(self) -> FitSettings | None:
         """Return the settings, with i_max, by which the first information file was accumulated; None without one.
 
         Raises InformationError when it cannot be read, unless ``skip_bad`` allows to try the next one.
         """
         for path in self.information:
-            with suppress(*[InformationError] if self.skip_bad else []):
-                evidence = read_information(path).accumulated.evidence
+            with suppress(*[InformationError, NotABagError] if self.skip_bad else []), fetched(path) as here:
+                evidence = read_information(here).accumulated.evidence
                 return replace(evidence.settings, i_max=evidence.i_max)
         return None
 
@@ -140,13 +149,16 @@ def accumulate_sources(sources: Sources, settings: FitSettings, tell: Progress =
     Raises DriveIdError when a source cannot be used, or information files were accumulated differently.
     """
     workers = min(sources.workers, len(sources.paths))
+    elsewhere = sources.executor is not None  # perhaps in another folder
+    paths = [path if url_of(path) else path.absolute() for path in sources.paths] if elsewhere else sources.paths
+    asked = replace(sources, paths=paths[:1], executor=None)  # goes along with each path, so without the others
     if settings.i_max is None:
-        radii = list(in_processes(partial(radius_of, sources=sources), sources.paths, workers))
+        radii = list(in_processes(partial(radius_of, sources=asked), paths, workers, sources.executor))
         settings = replace(settings, i_max=_common_radius(sources, radii))
-    work = partial(_accumulated, sources=sources, threads=workers == 1)  # else a process is a core's
-    each = ((path, settings.of_recording(number)) for number, path in enumerate(sources.paths))
+    work = partial(_accumulated, sources=asked, threads=workers == 1 and not elsewhere)  # else a process is a core's
+    each = ((path, settings.of_recording(number)) for number, path in enumerate(paths))
     refused: list[DriveIdError] = []
-    with closing(in_processes(work, each, workers)) as parts:
+    with closing(in_processes(work, each, workers, sources.executor)) as parts:
         found = pairwise(_usable(parts, sources, refused, tell), _merged)
     if found is None:
         raise refused[0]
@@ -165,7 +177,13 @@ def _usable(
                 raise part
             refused.append(part)
         tell("Accumulating", done / len(sources.paths))
-        yield None if isinstance(part, DriveIdError) else part
+        if isinstance(part, DriveIdError):
+            yield None
+        elif len(sources.paths) > 1:
+            source = shown(sources.paths[done - 1])
+            yield replace(part, warnings=tuple(message.of(source) for message in part.warnings))
+        else:
+            yield part
 
 
 def _merged(one: Accumulated | None, other: Accumulated | None) -> Accumulated | None:
@@ -177,7 +195,7 @@ def _common_radius(sources: Sources, radii: Sequence[float | DriveIdError | None
     found = list(zip(sources.paths, radii, strict=True))
     known = [radius for radius in radii if isinstance(radius, float)]
     stored = [radius for path, radius in found if isinstance(radius, float) and is_information(path)]
-    unknown = next((path for path, radius in found if radius is None), None)
+    unknown = next((shown(path) for path, radius in found if radius is None), None)
     bad = next((radius for radius in radii if isinstance(radius, DriveIdError)), None)
     if bad and (not sources.skip_bad or not (known or unknown)):
         raise bad
@@ -197,22 +215,27 @@ def radius_of(path: Path, sources: Sources) -> float | DriveIdError | None:
     That of a bag is the largest amplitude of its references to three digits, so that recordings of one trajectory have
     it in common although the peak lies between two samples.
     """
-    signals = sources.signals or SignalMap()
     try:
-        if is_information(path):
-            return read_information(path).accumulated.evidence.i_max
-        if log_kind(path):
-            largest = largest_reference(path, signals)
-        else:
-            with open_bag(path) as bag:
-                topics = find_topics(bag, signals, sources.namespace)
-                if "reference" not in topics:
-                    return None
-                found = SignalStream(bag, signals, {"reference": topics["reference"]}).whole()
-            amplitude = np.hypot(*found["reference"].values[:, :2].T)
-            largest = float(np.max(amplitude, initial=0.0, where=np.isfinite(amplitude)))
+        with fetched(path) as here:
+            return _radius(here, sources)
     except DriveIdError as error:
         return _naming(path, error)
+
+
+def _radius(path: Path, sources: Sources) -> float | None:
+    signals = sources.signals or SignalMap()
+    if is_information(path):
+        return read_information(path).accumulated.evidence.i_max
+    if log_kind(path):
+        largest = largest_reference(path, signals)
+    else:
+        with open_bag(path) as bag:
+            topics = find_topics(bag, signals, sources.namespace)
+            if "reference" not in topics:
+                return None
+            found = SignalStream(bag, signals, {"reference": topics["reference"]}).whole()
+        amplitude = np.hypot(*found["reference"].values[:, :2].T)
+        largest = float(np.max(amplitude, initial=0.0, where=np.isfinite(amplitude)))
     return None if largest is None else float(f"{largest:.3g}") or None
 
 
@@ -223,31 +246,50 @@ def _accumulated(source: tuple[Path, FitSettings], sources: Sources, *, threads:
     """
     path, settings = source
     try:
-        if is_information(path):
-            found = read_information(path).accumulated
-        else:
-            found = accumulate([path], settings, signals=sources.signals, namespace=sources.namespace, threads=threads)
+        with fetched(path) as here:
+            found, stored = _read(here, settings, sources, threads=threads), is_information(here)
     except DriveIdError as error:
         return _naming(path, error)
-    if is_information(path):
+    if here != path:
+        found = _renamed(found, str(here), shown(path))
+    if stored:
         before = found.evidence.settings.method
         if ORIGINS[before].turning != ORIGINS[settings.method].turning:
             raise ConfigurationError(
-                f"{path} was accumulated and checked for method {before}, and method locked alone fits a rotor that "
-                f"does not turn: fit it by method {before}, or accumulate it again for method {settings.method}."
+                f"{shown(path)} was accumulated and checked for method {before}, and method locked alone fits a rotor "
+                f"that does not turn: fit it by method {before}, or accumulate it again for method {settings.method}."
             )
         own = replace(found.evidence.settings, method=settings.method)
         found = replace(found, evidence=found.evidence.copy(own))  # without what another method needed
         wanted = Evidence.within(settings, settings.i_max or found.evidence.i_max)
         if difference := found.evidence.difference(wanted, "there", "here"):
             raise ConfigurationError(
-                f"{path} was accumulated differently ({difference}) and cannot be merged: accumulate it again with "
-                "these settings, or remove them."
+                f"{shown(path)} was accumulated differently ({difference}) and cannot be merged: accumulate it again "
+                "with these settings, or remove them."
             )
-    said = tuple(message.of(path) for message in found.warnings) if len(sources.paths) > 1 else found.warnings
-    return replace(found, warnings=said, validation=bounded(found.validation))
+    return replace(found, validation=bounded(found.validation))
+
+
+def _read(path: Path, settings: FitSettings, sources: Sources, *, threads: bool) -> Accumulated:
+    if is_information(path):
+        return read_information(path).accumulated
+    with one_blas_thread():  # whatever the process that this is
+        return accumulate([path], settings, signals=sources.signals, namespace=sources.namespace, threads=threads)
+
+
+def _renamed(found: Accumulated, here: str, name: str) -> Accumulated:
+    """Return what was read from a copy as that of its origin."""
+    return replace(
+        found,
+        digests={file.replace(here, name): digest for file, digest in found.digests.items()},
+        unchecked=tuple(file.replace(here, name) for file in found.unchecked),
+        warnings=tuple(
+            Message.told(text.replace(here, name), text.code, text.values, text.kind) for text in found.warnings
+        ),
+    )
 
 
 def _naming(source: Path, error: DriveIdError) -> DriveIdError:
     """Return the error with the name of its source in it."""
-    return error if str(source) in str(error) else type(error)(f"In {source}: {error}")
+    name = shown(source)
+    return error if name in str(error) else type(error)(f"In {name}: {error}")

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import pickle
 import shutil
 import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 from drive_bags import TRAJECTORY, with_arrays
 
+import drive_id
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
@@ -245,6 +247,52 @@ def test_the_result_of_several_processes_is_that_of_one(bags, infos, settings):
     assert_same_bits(found, accumulate_sources(Sources(sources), settings))
     assert [share for what, share in told if what == "Accumulating"] == pytest.approx([0, 1 / 3, 2 / 3, 1])
     assert not multiprocessing.active_children()
+
+
+def test_the_result_of_any_executor_is_that_of_one_process(bags, infos):
+    sources = [bags[0], infos[1], bags[2]]
+    with ThreadPoolExecutor(2) as executor:
+        found = accumulate_sources(Sources(sources, executor=executor), RADIUS)
+        assert_same_bits(found, accumulate_sources(Sources(sources), RADIUS))
+        fitted = drive_id.fit(bags, executor=executor, settings=RADIUS)
+        assert fitted.resistance == drive_id.fit(bags, skip_bad=True, settings=RADIUS).resistance
+        assert executor.submit(abs, -1).result() == 1  # it is the caller's, who may go on with it
+
+
+class Sent(Executor):
+    """Computes at once, as if elsewhere, and keeps what would be sent there."""
+
+    def __init__(self):
+        self.sent = []
+
+    def submit(self, work, /, *args):
+        self.sent.append(pickle.dumps((work, args)))
+        future = Future()
+        work, args = pickle.loads(self.sent[-1])
+        future.set_result(work(*args))
+        return future
+
+
+def test_elsewhere_a_path_is_absolute_and_goes_alone(bags, monkeypatch):
+    """Ten thousand paths with each of ten thousand recordings would be 10 GB."""
+    monkeypatch.chdir(bags[0].parent)
+    executor = Sent()
+    accumulate_sources(Sources([Path(bag.name) for bag in bags], executor=executor), JOINT)
+    assert len(executor.sent) == 6  # i_max of each, and then its sums
+    for sent in executor.sent[1:3] + executor.sent[4:]:  # the first path tells which settings belong to all
+        _, (given,) = pickle.loads(sent)
+        path = given if isinstance(given, Path) else given[0]
+        assert path.is_absolute()
+        assert sum(bag.name.encode() in sent for bag in bags) <= 2
+
+
+@pytest.mark.process
+def test_an_executor_whose_process_dies_is_told():
+    with (
+        ProcessPoolExecutor(2, multiprocessing.get_context("spawn")) as executor,
+        pytest.raises(WorkerError, match="A process of the executor has died"),
+    ):
+        list(in_processes(die, range(8), 2, executor))
 
 
 @pytest.mark.process

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 _PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "µ", -9: "n"}
-_PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "Nm/A", "s", "S", "Wb/K", "rad", "W"})
+_PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "Nm/A", "s", "S", "Wb/K", "W"})
 """Units that take a prefix; others, such as samples and °, are left as they are."""
 _SPELLED = {"ohm": "Ω", "1": "", "degC": "°C", "kg m^2": "kg m²"}
 _DIGITS = 4
@@ -39,6 +39,8 @@ def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
     if not math.isfinite(value):
         return "unknown"
     unit = spelled(unit)
+    if unit == "rad":  # people read angles in one unit, whatever their size
+        value, sigma, unit = math.degrees(value), math.degrees(sigma), "°"
     known = math.isfinite(sigma) and sigma > _LEAST_SHARE * abs(value)
     largest = max(abs(value), sigma if known else 0.0)
     exponent = 0

@@ -128,7 +128,7 @@ def test_settings_signals_and_stored_settings_are_used(bag, tmp_path):
 @pytest.mark.parametrize(
     ("recordings", "options", "said"),
     [
-        ("none", {}, "none does not exist"),
+        ("none", {}, "There is no none here"),
         ("none", {"method": "best"}, "method is 'best': it must be one of psm, joint, full, locked, static."),
         ("none", {"i_max": -3.0}, "i_max is -3.0 A: it must be at least 0.001 A and at most 1000000.0 A."),
         ([], {}, "No bag is given"),

@@ -30,6 +30,7 @@ SCALES = {"": 1, "m": Decimal("1e-3"), "µ": Decimal("1e-6"), "n": Decimal("1e-9
         (0.0, math.inf, "A", "0 A"),
         (math.nan, 1.0, "A", "unknown"),
         (1 / 3, 1e-13, "V", "333.3 mV"),
+        (-3.7e-5, 8.3e-6, "rad", "−0.00212 ± 0.00048 °"),
     ],
 )
 def test_examples(value, sigma, unit, text):

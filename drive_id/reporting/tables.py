@@ -57,7 +57,9 @@ def fit_table(fit: Result, *, verbose: bool = False) -> Table:
     if known.nrmse:
         row("NRMSE of ψ_d / ψ_q", " / ".join(f"{100 * value:.3f} %" for value in known.nrmse))
     if origin.diagnostics:
-        row("MAD of simulated i_d / i_q", " / ".join(_deviation(value) for value in (report.mad_d, report.mad_q)))
+        row(
+            "Mean error of simulated i_d / i_q", " / ".join(_deviation(value) for value in (report.mad_d, report.mad_q))
+        )
     if origin.fitted:
         row("Residual, rms over a sample", measured(report.residual_rms, unit="V"))
     row("Disc covered", f"{100 * report.coverage:.1f} %")
@@ -173,7 +175,7 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
     table.add_row("Disc", f"{evidence.i_max:.6g} A, {100 * evidence.coverage():.1f} % covered")
     table.add_row("Flux model", f"{settings.flux_model}, {evidence.model.parameters} unknowns")
     table.add_row("Time blocks", f"{len(information.blocks)} of {information.block_duration:.4g} s")
-    table.add_row("Samples kept for the MAD", f"{seconds:.3f} s of {len(found.validation)} recordings")
+    table.add_row("Samples kept for simulated currents", f"{seconds:.3f} s of {len(found.validation)} recordings")
     if found.truth:
         table.add_row("Ground truth of", escape(found.truth.machine))
     for file, digest in found.digests.items():
@@ -200,7 +202,7 @@ _NAMED = {
     "ki": "k_i",
 }  # fmt: skip
 """Names for people where they are not those of the figure in words; one spelling in all tables."""
-_SHOWN = {"rad": (180 / math.pi, "°"), "rad/s": (30 / math.pi, "rpm")}
+_SHOWN = {"rad/s": (30 / math.pi, "rpm")}
 """Factor and name of the unit in which a quantity is shown."""
 
 

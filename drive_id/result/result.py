@@ -374,7 +374,7 @@ class Result:
             **{quantity.name: str(quantity) for quantity in self.headline},
             "Disc covered": f"{100 * metrics['coverage']:.0f} %",
             "NRMSE of ψ_d / ψ_q": _percent(metrics["nrmse_d"], metrics["nrmse_q"]),
-            "MAD of i_d / i_q": mad if self.origin.diagnostics else "",
+            "Mean error of simulated i_d / i_q": mad if self.origin.diagnostics else "",
             "Advice": next(iter(self.advice), ""),
             **{f"Warning {number}": text for number, text in enumerate(self.warnings, start=1)},
         }

@@ -178,7 +178,7 @@ class Analysis:
 
     def _repr_png_(self) -> bytes | None:
         """Return the picture of :meth:`plot`, for notebooks and exports of them; None without a DC-link voltage."""
-        from drive_id.pictures.plots import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
+        from drive_id.pictures.picture import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
 
         return rendered(self.plot(), dpi=SCREEN_DPI) if self.speed_ranges else None
 

@@ -47,6 +47,14 @@ class FigureFormat(str, Enum):
     png = "png"
     svg = "svg"
     pdf = "pdf"
+    pgf = "pgf"
+
+
+class PictureStyle(str, Enum):
+    """Look of pictures."""
+
+    screen = "screen"
+    ieee = "ieee"
 
 
 def main() -> None:
@@ -54,6 +62,7 @@ def main() -> None:
     atexit.register(gc.freeze)  # a last garbage collection would take a third of a second
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt
     gc.set_threshold(200_000)  # messages are many objects without cycles: collecting took a fifth of a check
+    os.environ["MPLBACKEND"] = "agg"  # pictures go to files; another one may not be installed, or not even exist
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for small matrices, more threads only wait
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -205,7 +214,11 @@ def fit(
     no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw none, as by default.", hidden=True)] = False,
     figure_format: Annotated[
         FigureFormat | None,
-        typer.Option("--figure-format", help="png, svg or pdf.  \\[default: png]", metavar="FORMAT"),
+        typer.Option("--figure-format", help="png, svg, pdf or pgf.  \\[default: png]", metavar="FORMAT"),
+    ] = None,
+    style: Annotated[
+        PictureStyle | None,
+        typer.Option(help="ieee: 3.5 in wide, serif.  \\[default: screen]", metavar="STYLE"),
     ] = None,
     report: Annotated[
         bool, typer.Option("--report", help="Write report.html, compared with the paper's methods.")
@@ -237,16 +250,17 @@ def fit(
         console.show_result(result, verbose=verbose)
         console.say(f"Results in {output}")
     sys.stdout.flush()  # the answer does not wait for pictures
-    if report or figures or (figure_format and not no_figures):
-        _draw(result, output, figure_format or FigureFormat.png, report=report, quiet=quiet or as_json)
+    if report or figures or ((figure_format or style) and not no_figures):
+        look = (figure_format or FigureFormat.png).value, (style or PictureStyle.screen).value
+        _draw(result, output, look, report=report, quiet=quiet or as_json)
 
 
-def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *, report: bool, quiet: bool) -> None:
-    """Add pictures and report to a result folder."""
+def _draw(result: "Identification", output: Path, look: tuple[Any, str], *, report: bool, quiet: bool) -> None:
+    """Add pictures of a format and style, and the report, to a result folder."""
     missing = ""
     try:
         with console.working(quiet, "Writing the report" if report else "Drawing"):
-            result.save(output, draw=True, report=report, figure_format=figure_format.value)
+            result.save(output, draw=True, report=report, figure_format=look[0], style=look[1])
     except (DriveIdError, ImportError, OSError, MemoryError) as error:
         missing = str(error).rstrip(".") or "the memory is not sufficient"
     if missing:  # raised here, where nothing holds what the failed pictures took

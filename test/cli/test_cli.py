@@ -512,6 +512,15 @@ def test_the_format_of_the_pictures_is_an_option(run, bag):
         assert tree(Path("results")) == sorted([*pictures, "diagnostics.npz", "flux_map.npz", "identification.json"])
         assert all((Path("results") / name).read_bytes().startswith(start) for name in pictures)
     assert run("fit", bag, "--output", "other", "--figure-format", "bmp").code == 2
+    assert run("fit", bag, "--output", "other", "--style", "acm").code == 2
+
+
+def test_pictures_are_drawn_whatever_the_backend_of_matplotlib(bag, tmp_path):
+    """A notebook leaves the name of its own in the environment of the programs that it starts."""
+    command = [SCRIPT, "fit", bag, "--output", tmp_path / "out", *JOINT, "--style", "ieee", "--quiet"]
+    environment = os.environ | {"MPLBACKEND": "a_backend_that_does_not_exist"}
+    subprocess.run(command, check=True, timeout=120, env=environment)
+    assert (tmp_path / "out" / "flux_map.png").exists()
 
 
 def test_json_is_the_file_and_nothing_else(run, bag):

@@ -68,7 +68,7 @@ def analyze(
     if as_json:
         console.print_json(analysis_tree(found))
     elif not quiet:
-        console.show(figures_table(found.result.machine or directory.name, found.figures))
+        console.show(figures_table(found.result.machine or directory.name, found))
         for sentence in found.statements:
             console.say(sentence)
         console.warn(*result.warnings)

@@ -11,10 +11,10 @@ from rich.table import Table
 from drive_id.quantity import measured
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from drive_id.analysis.folder import Figure
+    from drive_id.analysis.folder import Analysis
     from drive_id.core.planning.planner import Plan
     from drive_id.core.result.identification import Mechanics, TorqueFit
     from drive_id.files.read.info import BagInfo
@@ -183,27 +183,13 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
     return table
 
 
-def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
+def figures_table(name: str, analysis: Analysis) -> Table:
     """Lay out the single numbers of an analysis with their standard errors."""
     table = plain_table(f"Analysis of {name}", ["Quantity"], ["Value"])
     table.columns[1].no_wrap = True
-    for quantity, figure in figures.items():
-        factor, unit = _SHOWN.get(figure.unit, (1.0, figure.unit))
-        shown = measured(factor * figure.value, factor * figure.sigma, unit)
-        table.add_row(
-            _NAMED.get(quantity, quantity.replace("_", " ")), shown + ("" if figure.inside else " (extrapolated)")
-        )
+    for row in analysis.rows():
+        table.add_row(*row)
     return table
-
-
-_NAMED = {
-    "resistance": "R", "magnet_flux": "ψ_PM", "L_dd": "L_d at zero current", "L_qq": "L_q at zero current",
-    "saliency": "L_q / L_d at zero current", "mtpa_angle": "MTPA angle at i_max", "kp_d": "k_p, d", "kp_q": "k_p, q",
-    "ki": "k_i",
-}  # fmt: skip
-"""Names for people where they are not those of the figure in words; one spelling in all tables."""
-_SHOWN = {"rad/s": (30 / math.pi, "rpm")}
-"""Factor and name of the unit in which a quantity is shown."""
 
 
 def verification_table(rows: Iterable[Sequence[str]]) -> Table:

@@ -74,6 +74,15 @@ def test_what_is_unknown_is_none():
     assert tree["nrmse_d"] > 0
 
 
+def test_python_shows_the_verdict_and_the_table_of_the_command_line():
+    found = compare(changed(), result())
+    shown = repr(found)
+    assert found.verdict in shown
+    assert "array(" not in shown
+    assert len(shown.splitlines()) == 3 + 8  # names, verdict, heading
+    assert found._repr_html_().count("<tr>") == 9
+
+
 def test_picture_and_table():
     found = compare(changed(), result())
     whole = draw_difference(found)

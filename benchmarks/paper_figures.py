@@ -21,7 +21,8 @@ from drive_id.core.validation.metrics import true_flux
 from drive_id.fitting.simulated import run_experiment
 from drive_id.pictures.diagnostics import draw_inverter
 from drive_id.pictures.panels import CURRENT, PSI, Disc, add_colour_bar, add_key, draw_flux, levels, place
-from drive_id.pictures.plots import rendered, trajectory
+from drive_id.pictures.picture import rendered
+from drive_id.pictures.plots import trajectory
 from drive_id.types import FloatArray, GroundTruth, Samples
 
 DPI = 140

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import html
 import math
-from collections.abc import Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 _PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "µ", -9: "n"}
-_PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "Nm/A", "s", "S", "Wb/K", "rad", "W"})
+_PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "Nm/A", "s", "S", "Wb/K", "W"})
 """Units that take a prefix; others, such as samples and °, are left as they are."""
 _SPELLED = {"ohm": "Ω", "1": "", "degC": "°C", "kg m^2": "kg m²"}
 _DIGITS = 4
@@ -31,6 +33,40 @@ class Quantity:
         return measured(self.value, self.sigma, self.unit)
 
 
+class Tabled(ABC):
+    """What shows itself as a summary and a table below it: as text, and in a notebook."""
+
+    @property
+    @abstractmethod
+    def summary(self) -> str:
+        """What matters most, in words."""
+
+    @abstractmethod
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return the rows of the table as cells, all of one length."""
+
+    def __repr__(self) -> str:
+        rows = self.rows()
+        widths = [max(map(len, cells)) for cells in zip(*rows, strict=True)]
+        lines = (
+            "  ".join([name.ljust(widths[0]), *map(str.rjust, cells, widths[1:])]).rstrip() for name, *cells in rows
+        )
+        return "\n".join((self.summary, *lines))
+
+    def _repr_html_(self) -> str:
+        return html_table(self.rows(), self.summary)
+
+
+def html_table(rows: Iterable[Sequence[str]], caption: str = "") -> str:
+    """Return cells as a table for notebooks, the first of each row its name."""
+    lines = "".join(
+        f"<tr><th>{html.escape(name)}</th>{''.join(f'<td>{html.escape(cell)}</td>' for cell in cells)}</tr>"
+        for name, *cells in rows
+    )
+    above = f"<caption>{html.escape(caption)}</caption>" if caption else ""
+    return f"<table>{above}{lines}</table>"
+
+
 def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
     """Return a value and its standard error, rounded alike to two digits of the error, with an engineering prefix.
 
@@ -39,6 +75,8 @@ def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
     if not math.isfinite(value):
         return "unknown"
     unit = spelled(unit)
+    if unit == "rad":  # people read angles in one unit, whatever their size
+        value, sigma, unit = math.degrees(value), math.degrees(sigma), "°"
     known = math.isfinite(sigma) and sigma > _LEAST_SHARE * abs(value)
     largest = max(abs(value), sigma if known else 0.0)
     exponent = 0

@@ -93,11 +93,9 @@ def from_mapping(cls: type[Settings], mapping: Mapping[str, Any], where: str) ->
     if unknown:
         near = difflib.get_close_matches(unknown[0], names, _MOST_NEAR, 0.0) if len(names) > _MOST_LISTED else names
         which = "the settings are" if near is names else f"of {len(names)} settings, the nearest are"
-        meant = difflib.get_close_matches(unknown[0], names, 1, _ALIKE) if near is names else []
-        guess = f"did you mean '{meant[0]}'? " if meant else ""
-        raise ConfigurationError(
-            f"{where} sets '{unknown[0]:.200}', which does not exist: {guess}{which} {', '.join(near)}."
-        )
+        meant = difflib.get_close_matches(unknown[0], names, 1, _ALIKE)
+        hint = f"did you mean '{meant[0]}'?" if meant else f"{which} {', '.join(near)}."
+        raise ConfigurationError(f"'{unknown[0]:.200}' in {where} does not exist: {hint}")
     values = {name: _convert(value, hints[name], f"'{name}' in {where}") for name, value in mapping.items()}
     try:
         return cls(**values)

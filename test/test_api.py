@@ -110,6 +110,11 @@ def test_a_fit_takes_paths_lists_samples_and_information_files(bag, tmp_path):
     assert mixed.speed_range == pytest.approx((500 * 4 * np.pi / 30, 900 * 4 * np.pi / 30), rel=1e-3)
 
 
+def test_the_machine_has_a_name_and_a_serial_number(simulation):
+    found = drive_id.fit(simulation.samples, method="psm", machine="EM 3", serial="007")
+    assert repr(found).startswith("<Identification: EM 3, serial 007, method psm")
+
+
 def test_settings_signals_and_stored_settings_are_used(bag, tmp_path):
     topics = "currents: {topic: /phase_currents, fields: [a, b, c], sample_period: sample_period}\n"
     topics += "voltages: {topic: /phase_voltages, fields: [a, b, c], sample_period: sample_period}\n"
@@ -128,7 +133,7 @@ def test_settings_signals_and_stored_settings_are_used(bag, tmp_path):
 @pytest.mark.parametrize(
     ("recordings", "options", "said"),
     [
-        ("none", {}, "none does not exist"),
+        ("none", {}, "There is no none here"),
         ("none", {"method": "best"}, "method is 'best': it must be one of psm, joint, full, locked, static."),
         ("none", {"i_max": -3.0}, "i_max is -3.0 A: it must be at least 0.001 A and at most 1000000.0 A."),
         ([], {}, "No bag is given"),

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drive_id.quantity import measured
+from drive_id.quantity import Tabled, measured
 
 SCALES = {"": 1, "m": Decimal("1e-3"), "µ": Decimal("1e-6"), "n": Decimal("1e-9"), "k": 1000, "M": 10**6, "G": 10**9}
 
@@ -30,10 +30,25 @@ SCALES = {"": 1, "m": Decimal("1e-3"), "µ": Decimal("1e-6"), "n": Decimal("1e-9
         (0.0, math.inf, "A", "0 A"),
         (math.nan, 1.0, "A", "unknown"),
         (1 / 3, 1e-13, "V", "333.3 mV"),
+        (-3.7e-5, 8.3e-6, "rad", "−0.00212 ± 0.00048 °"),
     ],
 )
 def test_examples(value, sigma, unit, text):
     assert measured(value, sigma, unit) == text
+
+
+def test_a_table_is_aligned_in_text_and_safe_in_a_notebook():
+    class Shown(Tabled):
+        summary = "A < B"
+
+        def rows(self):
+            return [("R", "9.99 mΩ", "1"), ("L_d <b>", "1 H", "")]
+
+    assert repr(Shown()).splitlines() == ["A < B", "R        9.99 mΩ  1", "L_d <b>      1 H"]
+    assert Shown()._repr_html_() == (
+        "<table><caption>A &lt; B</caption><tr><th>R</th><td>9.99 mΩ</td><td>1</td></tr>"
+        "<tr><th>L_d &lt;b&gt;</th><td>1 H</td><td></td></tr></table>"
+    )
 
 
 @given(st.floats(1e-6, 1e6), st.floats(1e-4, 10.0), st.sampled_from([-1.0, 1.0]))

@@ -41,7 +41,7 @@ def refused(mapping: dict, said: str) -> None:
     text = str(caught.value)
     assert said in text
     assert "file.yaml" in text
-    assert text.endswith(".")
+    assert text.endswith((".", "?"))
     assert "\n" not in text
     assert len(text) < 300
 
@@ -96,9 +96,9 @@ def test_values_are_taken(name, given, expected):
 @pytest.mark.parametrize(
     ("mapping", "said"),
     [
-        ({"flags": True}, "sets 'flags', which does not exist: did you mean 'flag'? the settings are flag, count,"),
-        ({1: True}, "sets '1'"),
-        ({None: True}, "sets 'None'"),
+        ({"flags": True}, "'flags' in file.yaml does not exist: did you mean 'flag'?"),
+        ({1: True}, "'1' in file.yaml does not exist"),
+        ({None: True}, "'None' in file.yaml does not exist"),
         ({"flag": 1}, "'flag' in file.yaml is 1: it must be true or false."),
         ({"flag": "yes"}, "it must be true or false"),
         ({"flag": None}, "it must be true or false"),
@@ -142,13 +142,11 @@ def test_values_are_refused(mapping, said):
     refused(mapping, said)
 
 
-def test_of_many_settings_the_nearest_are_named():
+def test_a_misspelt_setting_is_guessed():
     with pytest.raises(ConfigurationError) as caught:
         from_mapping(SimulationSettings, {"iron_conductanse": 0.1}, "file.yaml")
     text = str(caught.value)
-    assert text.startswith("file.yaml sets 'iron_conductanse', which does not exist: of ")
-    assert "settings, the nearest are iron_conductance, " in text
-    assert len(text) < 300
+    assert text == "'iron_conductanse' in file.yaml does not exist: did you mean 'iron_conductance'?"
 
 
 def test_the_constructor_checks_bounds_without_naming_a_file():

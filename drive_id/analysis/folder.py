@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import html
 import io
 import json
 import math
@@ -23,7 +22,7 @@ from drive_id.analysis.trajectories import CurrentLocus
 from drive_id.files.inputs.archive import npz_bytes
 from drive_id.files.results.folder import replace_folder
 from drive_id.messages import Message
-from drive_id.quantity import measured, plain
+from drive_id.quantity import Tabled, measured, plain
 from drive_id.result.result import InverterCurve, Result
 from drive_id.result.tables import pandas_library
 from drive_id.types import BoolArray, FloatArray
@@ -102,8 +101,16 @@ class SpeedRange:
     errors: OperationErrors
 
 
+_NAMED = {
+    "resistance": "R", "magnet_flux": "ψ_PM", "L_dd": "L_d at zero current", "L_qq": "L_q at zero current",
+    "saliency": "L_q / L_d at zero current", "mtpa_angle": "MTPA angle at i_max", "kp_d": "k_p, d", "kp_q": "k_p, q",
+    "ki": "k_i",
+}  # fmt: skip
+"""Names for people where they are not those of the figure in words; one spelling in all tables."""
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Analysis:
+class Analysis(Tabled):
     """What :func:`drive_id.analyze` returns.
 
     Parameters
@@ -135,10 +142,22 @@ class Analysis:
     compensation: InverterCurve
     statements: tuple[Message, ...]
 
-    def __repr__(self) -> str:
+    @property
+    def summary(self) -> str:
+        """Machine, method, largest torque and corner speed."""
         corner = self.figures.get("corner_speed")
         reach = "" if corner is None else f" up to {corner.value / _RPM:.4g} rpm"
-        return f"<Analysis: {self.result.caption()}, {self.figures['max_torque'].value:.4g} Nm{reach}>"
+        return f"Analysis: {self.result.caption()}, {self.figures['max_torque'].value:.4g} Nm{reach}"
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return name and value of the figures, as ``drive-id analyze`` prints them."""
+        found: list[tuple[str, ...]] = []
+        for name, figure in self.figures.items():
+            factor, unit = (1 / _RPM, "rpm") if figure.unit == "rad/s" else (1.0, figure.unit)
+            shown = measured(factor * figure.value, factor * figure.sigma, unit)
+            known = "" if figure.inside else " (extrapolated)"
+            found.append((_NAMED.get(name, name.replace("_", " ")), shown + known))
+        return found
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the figures as rows: value, standard error, unit, and whether they rest on data.
@@ -150,14 +169,6 @@ class Analysis:
         """
         found: pd.DataFrame = pandas_library().DataFrame.from_dict(self.figures, "index", columns=Figure._fields)
         return found
-
-    def _repr_html_(self) -> str:
-        """Return the figures as a table, for notebooks."""
-        cells = (
-            f"<tr><th>{name.replace('_', ' ')}</th><td>{measured(x.value, x.sigma, x.unit)}</td></tr>"
-            for name, x in self.figures.items()
-        )
-        return f"<table><caption>{html.escape(repr(self)[1:-1])}</caption>{''.join(cells)}</table>"
 
     def plot(self, ax: Axes | None = None) -> Canvas:
         """Draw the largest torque over the speed at each DC-link voltage, with the band of two standard errors.
@@ -178,7 +189,7 @@ class Analysis:
 
     def _repr_png_(self) -> bytes | None:
         """Return the picture of :meth:`plot`, for notebooks and exports of them; None without a DC-link voltage."""
-        from drive_id.pictures.plots import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
+        from drive_id.pictures.picture import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
 
         return rendered(self.plot(), dpi=SCREEN_DPI) if self.speed_ranges else None
 

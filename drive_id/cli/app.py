@@ -7,6 +7,7 @@ import io
 import os
 import signal
 import sys
+from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from enum import Enum
 from pathlib import Path
@@ -48,6 +49,14 @@ class FigureFormat(str, Enum):
     png = "png"
     svg = "svg"
     pdf = "pdf"
+    pgf = "pgf"
+
+
+class PictureStyle(str, Enum):
+    """Look of pictures."""
+
+    screen = "screen"
+    ieee = "ieee"
 
 
 def main() -> None:
@@ -55,6 +64,7 @@ def main() -> None:
     atexit.register(gc.freeze)  # a last garbage collection would take a third of a second
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)  # nothing is left to interrupt
     gc.set_threshold(200_000)  # messages are many objects without cycles: collecting took a fifth of a check
+    os.environ["MPLBACKEND"] = "agg"  # pictures go to files; another one may not be installed, or not even exist
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # for small matrices, more threads only wait
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
@@ -122,10 +132,6 @@ def _common(
     pass
 
 
-@app.command(
-    cls=options.listing("drive_id.bench.settings:SimulationSettings"),
-    epilog="Example: drive-id simulate --machine ipm --output bag; drive-id fit bag --output result",
-)
 def simulate(
     machine: Annotated[
         str, typer.Option(help="ipm, spm, pmsyrm, a machine file (.npz, .mat of SyR-e), or a result folder.")
@@ -184,10 +190,6 @@ def simulate(
         console.say(f"{output}: {len(simulation.samples)} samples of machine {truth.machine}, {truth.i_max:.4g} A.")
 
 
-@app.command(
-    cls=options.listing("drive_id.core.fit_settings:FitSettings"),
-    epilog="For bags with other messages, write a signals file: see config/signals_example_stranger.yaml.",
-)
 def fit(
     bags: Annotated[
         list[Path],
@@ -195,25 +197,15 @@ def fit(
             help="Bags or other logs of one drive, or information files.", show_default=False, metavar="BAG..."
         ),
     ],
-    output: Annotated[
-        Path | None, options.output("Result folder.  \\[default: a new one beside the log: LOG_METHOD]")
-    ] = None,
+    output: Annotated[Path | None, options.output("Result folder.  \\[default: LOG_METHOD beside the log]")] = None,
     method: Annotated[
         str | None,
-        typer.Option(
-            help="full; static: operating points of a slow log in d and q; or the paper's: joint, psm (no inverter "
-            "model).  \\[default: full]"
-        ),
+        typer.Option(help="full; static: slow log in d and q; the paper's: joint, psm.  \\[default: full]"),
     ] = None,
     i_max: options.RadiusOption = None,
-    machine: Annotated[
-        str | None, typer.Option(help="Name of the machine, for titles; --set bench=..., operator, notes.")
-    ] = None,
+    machine: Annotated[str | None, typer.Option(help="Name of the machine, for titles.")] = None,
     serial: Annotated[str | None, typer.Option(help="Serial number of the machine.")] = None,
-    rated_current: Annotated[
-        float | None,
-        typer.Option(help="Rated current, amplitude, A: the answer tells inductances and torque there."),
-    ] = None,
+    rated_current: Annotated[float | None, typer.Option(help="Amplitude at which L_d, L_q are told, A.")] = None,
     signals: options.SignalsOption = None,
     namespace: options.NamespaceOption = "",
     config: options.FitConfigOption = None,
@@ -221,17 +213,18 @@ def fit(
     workers: options.WorkersOption = 1,
     dask: options.DaskOption = None,
     skip_bad: options.SkipFlag = False,
-    figures: Annotated[
-        bool | None,
-        typer.Option(
-            "--figures/--no-figures", help="Also draw pictures, after the result is printed.  \\[default: no]"
-        ),
-    ] = None,
+    figures: Annotated[bool, typer.Option("--figures", help="Draw pictures, after the answer.")] = False,
+    no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw none, as by default.", hidden=True)] = False,
     figure_format: Annotated[
-        FigureFormat | None, typer.Option("--figure-format", help="Format of the pictures.  \\[default: png]")
+        FigureFormat | None,
+        typer.Option("--figure-format", help="png, svg, pdf or pgf.  \\[default: png]", metavar="FORMAT"),
+    ] = None,
+    style: Annotated[
+        PictureStyle | None,
+        typer.Option(help="ieee: 3.5 in wide, serif.  \\[default: screen]", metavar="STYLE"),
     ] = None,
     report: Annotated[
-        bool, typer.Option("--report", help="Also compare with the paper's methods, draw, and write report.html.")
+        bool, typer.Option("--report", help="Write report.html, compared with the paper's methods.")
     ] = False,
     force: options.ForceFlag = False,
     verbose: options.VerboseFlag = False,
@@ -260,16 +253,17 @@ def fit(
         console.show_result(result, verbose=verbose)
         console.say(f"Results in {output}")
     sys.stdout.flush()  # the answer does not wait for pictures
-    if report or (figures is None and figure_format) or figures:
-        _draw(result, output, figure_format or FigureFormat.png, report=report, quiet=quiet or as_json)
+    if report or figures or ((figure_format or style) and not no_figures):
+        look = (figure_format or FigureFormat.png).value, (style or PictureStyle.screen).value
+        _draw(result, output, look, report=report, quiet=quiet or as_json)
 
 
-def _draw(result: "Identification", output: Path, figure_format: FigureFormat, *, report: bool, quiet: bool) -> None:
-    """Add pictures and report to a result folder."""
+def _draw(result: "Identification", output: Path, look: tuple[Any, str], *, report: bool, quiet: bool) -> None:
+    """Add pictures of a format and style, and the report, to a result folder."""
     missing = ""
     try:
         with console.working(quiet, "Writing the report" if report else "Drawing"):
-            result.save(output, draw=True, report=report, figure_format=figure_format.value)
+            result.save(output, draw=True, report=report, figure_format=look[0], style=look[1])
     except (DriveIdError, ImportError, OSError, MemoryError) as error:
         missing = str(error).rstrip(".") or "the memory is not sufficient"
     if missing:  # raised here, where nothing holds what the failed pictures took
@@ -299,10 +293,6 @@ def _placed(sources: "Sources", dask: str | None) -> "Iterator[Sources]":
         yield placed
 
 
-@app.command(
-    cls=options.listing("drive_id.core.fit_settings:FitSettings"),
-    epilog="Example: drive-id accumulate mon --i-max 300 --output mon.info; drive-id fit mon.info tue --output all",
-)
 def accumulate(
     bags: Annotated[
         list[Path],
@@ -343,7 +333,6 @@ def accumulate(
         console.say(f"{output}: {result.samples} samples, disc of {result.evidence.i_max:.4g} A.")
 
 
-@app.command()
 def info(
     path: Annotated[
         Path, typer.Argument(help="Bag or other log, result folder, or information file.", show_default=False)
@@ -404,7 +393,6 @@ def _print_information(path: Path, *, as_json: bool, quiet: bool) -> None:
         console.warn(*stored.accumulated.warnings)
 
 
-@app.command(epilog="Example: drive-id recover bag && drive-id fit bag_recovered --output result")
 def recover(
     bag: Annotated[Path, typer.Argument(help="Damaged MCAP bag (folder or file).", show_default=False)],
     output: Annotated[Path | None, options.output("Bag to write.  \\[default: BAG_recovered]")] = None,
@@ -423,39 +411,62 @@ def recover(
         console.say(f"{recovery.output}: {sum(recovery.topics.values())} messages, {recovery.duration:.3f} s.")
 
 
-app.command(
-    name="check",
-    epilog="Example: drive-id check log.csv --draft signals.yaml; drive-id check log.csv --signals signals.yaml",
-)(check_log)
-app.command(name="convert", epilog="Example: drive-id convert log.mf4 bag --signals signals.yaml")(convert_log)
-app.command(
-    name="plan",
-    cls=options.listing("drive_id.core.planning.settings:PlanSettings"),
-    epilog="Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",
-)(plan_experiment)
-app.command(
-    cls=options.listing("drive_id.analysis.settings:AnalysisSettings"),
-    epilog="Example: drive-id analyze result --output analysis --u-dc 400 --temperature 80",
-)(analyze)
-app.command(
-    name="report", epilog="Example: drive-id fit bag --output result; drive-id report result --output result.html"
-)(report_result)
-app.command(
-    name="import",
-    epilog="Example: drive-id import THOR.mat --output thor; drive-id import map.csv --axis sr --output my_motor",
-)(import_file)
-app.command(
-    name="export",
-    epilog="Example: drive-id export result --format motulator --output map.npz --grid 41 --range -300 300",
-)(export_result)
-app.command(name="compare", epilog="Example: drive-id compare monday tuesday --output difference.png")(compare_results)
-app.command(
-    name="verify",
-    epilog="Example: drive-id verify result --bag friday --output certificate.html; "
-    "drive-id verify golden --bag unit17 --golden limits.yaml",
-)(verify_result)
-app.command(name="index", epilog="Example: drive-id index results && xdg-open results/index.html")(index_results)
-app.command(name="serve", epilog="Example: drive-id serve results, then open http://127.0.0.1:8080")(serve_results)
+_COMMANDS: dict[str, dict[str, tuple[Callable[..., None], str | None, str]]] = {
+    "Everyday": {
+        "check": (
+            check_log, None,
+            "Example: drive-id check log.csv --draft signals.yaml; drive-id check log.csv --signals signals.yaml",
+        ),
+        "fit": (
+            fit, "drive_id.core.fit_settings:FitSettings",
+            "For bags with other messages, write a signals file: see config/signals_example_stranger.yaml.",
+        ),
+        "info": (info, None, ""),
+        "report": (
+            report_result, None, "Example: drive-id fit bag --output result; drive-id report result -o result.html"
+        ),
+    },
+    "Use of a map": {
+        "analyze": (
+            analyze, "drive_id.analysis.settings:AnalysisSettings",
+            "Example: drive-id analyze result --output analysis --u-dc 400 --temperature 80",
+        ),
+        "export": (
+            export_result, None,
+            "Example: drive-id export result --format motulator --output map.npz --grid 41 --range -300 300",
+        ),
+        "import": (
+            import_file, None,
+            "Example: drive-id import THOR.mat --output thor; drive-id import map.csv --axis sr --output my_motor",
+        ),
+        "compare": (compare_results, None, "Example: drive-id compare monday tuesday --output difference.png"),
+        "verify": (verify_result, None, "Example: drive-id verify result --bag friday --output certificate.html"),
+        "index": (index_results, None, "Example: drive-id index results && xdg-open results/index.html"),
+        "serve": (serve_results, None, "Example: drive-id serve results, then open http://127.0.0.1:8080"),
+    },
+    "Experiment": {
+        "plan": (
+            plan_experiment, "drive_id.core.planning.settings:PlanSettings",
+            "Example: drive-id plan --machine ipm --accuracy 0.05 --speed-max 1000 --output plan.yaml",
+        ),
+        "simulate": (
+            simulate, "drive_id.bench.settings:SimulationSettings",
+            "Example: drive-id simulate --machine ipm --output bag; drive-id fit bag --output result",
+        ),
+    },
+    "Data": {
+        "convert": (convert_log, None, "Example: drive-id convert log.mf4 bag --signals signals.yaml"),
+        "recover": (recover, None, "Example: drive-id recover bag && drive-id fit bag_recovered --output result"),
+        "accumulate": (
+            accumulate, "drive_id.core.fit_settings:FitSettings",
+            "Example: drive-id accumulate mon --i-max 300 --output mon.info; drive-id fit mon.info tue --output all",
+        ),
+    },
+}  # fmt: skip
+"""By group of the help and by name: the function, the settings it lists, and the last line of its help."""
+for _group, _commands in _COMMANDS.items():
+    for _name, (_function, _settings, _epilog) in _commands.items():
+        app.command(_name, cls=options.listing(_settings), epilog=_epilog or None, rich_help_panel=_group)(_function)
 
 
 if __name__ == "__main__":

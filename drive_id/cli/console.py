@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import textwrap
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 _PIPE_WIDTH = 200
 """Characters per line when the output is not a terminal."""
+_wrapped = partial(textwrap.fill, break_long_words=False, break_on_hyphens=False)
 
 
 @cache
@@ -49,8 +51,12 @@ def printable(**options: Any) -> Console:
 
 
 def say(sentence: str, *, to: Callable[[], Console] = out, style: str | None = None) -> None:
-    """Print text as it is."""
-    to().print(sentence, style=style, markup=False, highlight=False, soft_wrap=True)
+    """Print text as it is: in a terminal wrapped between words, in a file or a pipe on one line."""
+    console = to()
+    if console.is_terminal:  # rich would break a long path, which could not be copied then
+        lines = (_wrapped(line, console.width) for line in sentence.splitlines())
+        sentence = "\n".join(lines)
+    console.print(sentence, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def warn(*sentences: str) -> None:
@@ -73,17 +79,18 @@ def show(table: Table) -> None:
 
 
 def show_result(result: Identification, *, verbose: bool = False) -> None:
-    """Print a result: values and quality, one line of advice, warnings, statements; what was not found if verbose."""
+    """Print a result: values and quality, one line of advice, warnings, what is particular; all notes if verbose."""
     from drive_id.reporting.tables import fit_table
-    from drive_id.result.advice import sorted_statements
+    from drive_id.result.advice import USUAL, sorted_statements
 
     show(fit_table(result, verbose=verbose))
     for sentence in result.advice[:1]:
         say(f"What would help most: {sentence}")
     warn(*result.warnings)
     found, nothing = sorted_statements(result.drive)
-    for statement in (*found, *(nothing if verbose else ())):
-        say(statement)
+    for statement in (*found, *nothing) if verbose else found:
+        if verbose or statement.code not in USUAL:
+            say(statement)
 
 
 @contextmanager

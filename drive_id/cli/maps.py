@@ -59,7 +59,7 @@ def import_file(
     from drive_id.exchange.imports.source import Source
     from drive_id.files.results.folder import check_output
     from drive_id.files.results.identification import results_tree, write_results
-    from drive_id.pictures.plots import rendered
+    from drive_id.pictures.picture import rendered
 
     scalars = _positive(pole_pairs=pole_pairs, resistance=resistance, i_max=i_max, u_dc=u_dc)
     conventions = Conventions(

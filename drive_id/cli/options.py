@@ -12,7 +12,7 @@ from typing import Annotated, Any, TypeVar, get_type_hints
 
 import typer
 from rich.text import Text
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperOption
 
 from drive_id.cli.console import printable
 from drive_id.errors import ConfigurationError
@@ -36,11 +36,11 @@ JsonFlag = Annotated[bool, typer.Option("--json", help="Print machine-readable o
 QuietFlag = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 VerboseFlag = Annotated[
     bool,
-    typer.Option("--verbose", "-v", help="Also show what was tested and not found, and figures of the regression."),
+    typer.Option("--verbose", "-v", help="Show all notes and figures."),
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="Any setting by its name, see below; may be repeated."),
+    typer.Option("--set", metavar="NAME=VALUE", help="Any setting of --help-settings."),
 ]
 LogArgument = Annotated[
     Path,
@@ -49,11 +49,9 @@ LogArgument = Annotated[
 ResultArgument = Annotated[
     Path, typer.Argument(help="Result folder of fit or import.", show_default=False, metavar="DIR")
 ]
-SignalsOption = Annotated[Path | None, typer.Option(help="YAML file that says where the signals are in the log.")]
-NamespaceOption = Annotated[str, typer.Option(help="ROS namespace of the drive, when a bag holds several.")]
-RadiusOption = Annotated[
-    float | None, typer.Option(help="Radius of the current disc, A.  \\[default: that of the recorded references]")
-]
+SignalsOption = Annotated[Path | None, typer.Option(help="YAML file: where the signals are.")]
+NamespaceOption = Annotated[str, typer.Option(help="ROS namespace of one of several drives.")]
+RadiusOption = Annotated[float | None, typer.Option(help="Disc radius, A.  \\[default: of references]")]
 PolePairsOption = Annotated[
     int | None, typer.Option("--pole-pairs", help="Number of pole pairs, if the result does not contain it.", min=1)
 ]
@@ -62,28 +60,39 @@ LinkOption = Annotated[
 ]
 WorkersOption = Annotated[int, typer.Option(help="Processes that read the bags.", min=1)]
 DaskOption = Annotated[
-    str | None, typer.Option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers read the bags instead.")
+    str | None, typer.Option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers read the bags.")
 ]
-SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out bags that cannot be used, with a warning.")]
-FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with fit settings.")]
-ForceFlag = Annotated[bool, typer.Option("--force", help="Replace other results, and write beside other files.")]
+SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out unusable bags, and say so.")]
+FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with settings.")]
+ForceFlag = Annotated[bool, typer.Option("--force", help="Replace other results, write beside other files.")]
 
 
-def listing(settings: str) -> type[TyperCommand]:
-    """Return a class of commands whose help lists the settings of a dataclass, ``module:name``, loaded only then."""
+def listing(settings: str | None) -> type[TyperCommand]:
+    """Return a class of commands with ``--help-settings``, which lists the fields of a dataclass, ``module:name``."""
+    if settings is None:
+        return TyperCommand
+
+    def show_settings(ctx: Any, _: Any, wanted: bool) -> None:
+        if not wanted:
+            return
+        from drive_id.reporting.tables import plain_table
+
+        table = plain_table("Settings for --set NAME=VALUE and --config", ["Name", "Default", "Meaning"])
+        for entry in fields(resolve_name(settings)):
+            meaning, unit = entry.metadata["description"], spelled(entry.metadata["unit"])
+            default = entry.default if isinstance(entry.default, str) else json.dumps(entry.default)
+            shown = "" if entry.default in (None, ()) else default
+            table.add_row(entry.name, Text(shown), Text(f"{meaning}, {unit}" if unit else meaning))
+        printable().print(table)
+        ctx.exit()
 
     class Listing(TyperCommand):
-        def format_help(self, ctx: Any, formatter: Any) -> None:
-            super().format_help(ctx, formatter)
-            from drive_id.reporting.tables import plain_table
-
-            table = plain_table("Settings for --set NAME=VALUE and --config", ["Name", "Default", "Meaning"])
-            for entry in fields(resolve_name(settings)):
-                meaning, unit = entry.metadata["description"], spelled(entry.metadata["unit"])
-                default = entry.default if isinstance(entry.default, str) else json.dumps(entry.default)
-                shown = "" if entry.default in (None, ()) else default
-                table.add_row(entry.name, Text(shown), Text(f"{meaning}, {unit}" if unit else meaning))
-            printable().print(table)
+        def __init__(self, *arguments: Any, params: list[Any], **others: Any) -> None:
+            asked = TyperOption(
+                param_decls=["--help-settings"], is_flag=True, is_eager=True, expose_value=False,
+                callback=show_settings, help="List the settings.",
+            )  # fmt: skip
+            super().__init__(*arguments, params=[*params, asked], **others)
 
     return Listing
 

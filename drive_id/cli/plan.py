@@ -87,4 +87,4 @@ def _tell(tables: Iterable[Any], sentences: Iterable[str], warnings: Iterable[st
     for sentence in sentences:
         console.say(sentence)
     console.warn(*warnings)
-    console.say(end)
+    typer.echo(end)  # a file to be copied: not wrapped

@@ -68,7 +68,7 @@ def analyze(
     if as_json:
         console.print_json(analysis_tree(found))
     elif not quiet:
-        console.show(figures_table(found.result.machine or directory.name, found.figures))
+        console.show(figures_table(found.result.machine or directory.name, found))
         for sentence in found.statements:
             console.say(sentence)
         console.warn(*result.warnings)
@@ -116,7 +116,7 @@ def compare_results(
     from drive_id.exchange.comparison import compare
     from drive_id.files.results.folder import check_absent, replace_file
     from drive_id.fitting.result import load
-    from drive_id.pictures.plots import rendered
+    from drive_id.pictures.picture import rendered
     from drive_id.reporting.difference import difference_table, draw_difference
 
     if output is not None and not force:

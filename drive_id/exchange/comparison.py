@@ -11,7 +11,7 @@ import numpy as np
 
 from drive_id.core.validation.metrics import nrmse
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.quantity import plain
+from drive_id.quantity import Tabled, measured, plain
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
@@ -21,8 +21,8 @@ _OTHER_MACHINE = 0.08
 """NRMSE beyond which no temperature explains a difference: a neodymium magnet loses 0.12 % per kelvin, so 65 K."""
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Tabled):
     """Result A minus result B where both have data, on a grid of currents.
 
     Differences are NaN where one of the results has no data.
@@ -109,6 +109,39 @@ class Comparison:
                 "alone do not explain the difference."
             )
         return f"{apart}. {told}"
+
+    @property
+    def summary(self) -> str:
+        """Names of A and B, and the verdict."""
+        return f"{self.title}\n{self.verdict}"
+
+    @property
+    def title(self) -> str:
+        """What is compared."""
+        first, second = (f"{x.machine or 'unknown machine'} ({x.method})" for x in (self.first, self.second))
+        return f"A − B where both have data; A: {first}, B: {second}"
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return quantity, difference, and the same in joint standard errors, as ``drive-id compare`` prints them."""
+        tree, rows = self.tree(), [("Quantity", "Difference", "Std. errors")]
+
+        def sigmas(value: float | None) -> str:
+            return "unknown" if value is None else f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
+
+        for axis in "dq":
+            rms = f"{measured(tree[f'rms_{axis}'], unit='Wb')} ({100 * tree[f'nrmse_{axis}']:.4g} %)"
+            rows.append((f"ψ_{axis}, rms (NRMSE)", rms, sigmas(tree[f"rms_{axis}_in_sigma"])))
+        worst = tree["worst"]
+        size = math.hypot(worst["psi_d"], worst["psi_q"])
+        rows.append(("ψ, largest", measured(size, unit="Wb"), sigmas(tree["largest_in_sigma"])))
+        rows.append(("  at i_d, i_q", f"{measured(worst['i_d'], unit='A')}, {measured(worst['i_q'], unit='A')}", ""))
+        known = "unknown" if tree["resistance"] is None else measured(tree["resistance"], unit="Ω")
+        rows.append(("R", known, sigmas(tree["resistance_in_sigma"])))
+        for what, key, unit in (("Inverter curve", "inverter_curve", "V"), ("Torque", "torque", "Nm")):
+            if (found := tree[key]) is not None:
+                pair = f"{measured(found['rms'], unit=unit)} ({measured(found['largest'], unit=unit)})"
+                rows.append((f"{what}, rms (largest)", pair, ""))
+        return [*rows, ("Points compared", str(tree["points"]), "")]
 
     def tree(self) -> dict[str, Any]:
         """Return all figures as plain values; None if unknown."""

@@ -43,6 +43,8 @@ def fit(
     *,
     method: Method | None = None,
     i_max: float | None = None,
+    machine: str | None = None,
+    serial: str | None = None,
     signals: StrPath | SignalMap | None = None,
     namespace: str = "",
     settings: FitSettings | None = None,
@@ -66,6 +68,8 @@ def fit(
         Default: that of ``settings``; ``static`` for OperatingData.
     i_max : float, optional
         Radius of the current disc, A. Default: that of the recorded references, or the largest measured amplitude.
+    machine, serial : str, optional
+        Name and serial number of the machine, for titles.
     signals : path or SignalMap, optional
         Signals file: where the signals are in a bag with other messages than ours.
     namespace : str
@@ -103,7 +107,7 @@ def fit(
     paths, samples = _divided(recordings)
     signal_map = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
     target = None if output is None else Path(output)
-    chosen = _chosen(settings, samples, method=method, i_max=i_max)
+    chosen = _chosen(settings, samples, method=method, i_max=i_max, machine=machine, serial=serial)
     if samples:
         if signals or namespace or workers > 1 or executor or skip_bad:
             raise ConfigurationError(

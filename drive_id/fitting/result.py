@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FigureFormat = Literal["png", "svg", "pdf"]
+FigureFormat = Literal["png", "svg", "pdf", "pgf"]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -48,6 +48,7 @@ class Identification(Result):
         draw: bool = False,
         report: bool = False,
         figure_format: FigureFormat = "png",
+        style: str = "screen",
     ) -> None:
         """Write a result folder, as ``drive-id fit`` does; :func:`drive_id.load` reads it.
 
@@ -61,8 +62,10 @@ class Identification(Result):
             Write pictures, too, and what the paper's methods make of the data, for reports of the folder.
         report : bool
             The same, and ``report.html``.
-        figure_format : {"png", "svg", "pdf"}
+        figure_format : {"png", "svg", "pdf", "pgf"}
             Of the pictures.
+        style : {"screen", "ieee"}
+            Of the pictures; ``ieee`` is one column of a journal: 3.5 in wide, serif, without caption and trajectory.
 
         Raises
         ------
@@ -75,7 +78,8 @@ class Identification(Result):
         if draw or report:
             from drive_id.pictures.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
 
-            files |= result_pictures(self.drive, self.excerpts, self.caption(), figure_format=figure_format)
+            drawn = self.drive, self.excerpts, self.caption()
+            files |= result_pictures(*drawn, figure_format=figure_format, style=style)
         if report:
             from drive_id.reporting.page.report import report_files  # noqa: PLC0415  # only it needs plotly and jinja2
 
@@ -107,26 +111,28 @@ class Identification(Result):
 
         return write_report(self, Path(path), pdf=pdf)
 
-    def plot(self, ax: Sequence[Axes] | None = None) -> Figure:
+    def plot(self, ax: Sequence[Axes] | None = None, *, style: str = "screen") -> Figure:
         """Draw both flux linkages over the current plane, and the trajectory where excerpts of it are kept.
 
         Parameters
         ----------
         ax : two matplotlib.axes.Axes, optional
             For psi_d and psi_q. Default: those of a new figure.
+        style : {"screen", "ieee"}
+            As in :meth:`save`.
 
         Returns
         -------
         matplotlib.figure.Figure
-            To be shown in a notebook, or saved by ``savefig``.
+            A notebook shows it; ``savefig`` saves it.
         """
         from drive_id.pictures.plots import draw_flux_maps, trajectory  # noqa: PLC0415  # matplotlib takes half a second
 
-        return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption(), ax)
+        return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption(), ax, style=style)
 
     def _repr_png_(self) -> bytes:
         """Return the picture of :meth:`plot`, for notebooks and exports of them."""
-        from drive_id.pictures.plots import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
+        from drive_id.pictures.picture import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
 
         return rendered(self.plot(), dpi=SCREEN_DPI)
 

@@ -35,7 +35,7 @@ from drive_id.inspection.clock import stamped
 from drive_id.inspection.contents import Contents, Table, read_contents
 from drive_id.inspection.draft import Draft, propose
 from drive_id.messages import Message
-from drive_id.quantity import plain
+from drive_id.quantity import Tabled, plain
 from drive_id.types import Progress, silent
 
 _MUCH_JITTER = 0.1  # of the period, from which on the jitter of stamps is told
@@ -43,8 +43,8 @@ _LOOKED = (ConfigurationError, DataError, EmptyTopicError, MessageTypeError, Mis
 """What is wrong with the signals of a log that can be read."""
 
 
-@dataclass(frozen=True, eq=False)
-class Inspection:
+@dataclass(frozen=True, eq=False, repr=False)
+class Inspection(Tabled):
     """What is in a log.
 
     Parameters
@@ -64,6 +64,29 @@ class Inspection:
     overview: Overview | None
     draft: Draft | None
     warnings: tuple[Message, ...]
+
+    @property
+    def summary(self) -> str:
+        """The findings and warnings, one a line."""
+        said = [*(f"{finding.code}: {finding}" for finding in self.findings), *map("Warning: {}".format, self.warnings)]
+        return "\n".join([f"{self.contents.path}: {self.contents.kind}", *(said or ["No problems found."])])
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Return quantities of the joined samples, as ``drive-id check`` prints them; none where none were joined."""
+        if self.overview is None:
+            return []
+        seen = self.overview.figures
+        low, mean, high = (seen[name] * 30 / np.pi for name in ("speed_min", "speed_mean", "speed_max"))
+        every = f"{seen['sample_period'] * 1e6:.6g} µs"
+        return [
+            ("Samples", f"{seen['samples']} every {every}, {seen['duration']:.4g} s"),
+            ("Gaps", f"{seen['runs'] - 1}, {seen['time_lost']:.4g} s in total"),
+            ("Electrical speed", f"{low:.5g} to {high:.5g} rpm, mean {mean:.5g} rpm"),
+            ("Turn per sample", f"{np.rad2deg(seen['turn_per_sample']):.3g}° electrical"),
+            ("i_d", f"{seen['i_d_min']:.4g} to {seen['i_d_max']:.4g} A"),
+            ("i_q", f"{seen['i_q_min']:.4g} to {seen['i_q_max']:.4g} A"),
+            ("Disc", f"{seen['i_max']:.4g} A, {100 * seen['coverage']:.0f} % visited"),
+        ]
 
     def tree(self) -> dict[str, Any]:
         """Return everything but the curves as plain values for JSON."""

@@ -26,6 +26,8 @@ from drive_id.pictures.panels import (
     name,
     place,
 )
+from drive_id.pictures.picture import Picture
+from drive_id.pictures.styles import style_of
 from drive_id.types import BoolArray, FloatArray, GroundTruth, Samples
 
 DARK = "#00429d"
@@ -40,14 +42,16 @@ _Z = 1.96
 """Standard errors on either side of a 95 % band."""
 
 
-def draw_diagnostics(identification: IdentifiedDrive, samples: Sequence[Samples]) -> Figure:
+def draw_diagnostics(identification: IdentifiedDrive, samples: Sequence[Samples], style: str = "screen") -> Figure:
     """Draw what a result may be judged by; the residual voltage is that of excerpts of the recording."""
-    figure = Figure(figsize=(7.2, 8.5))
+    look = style_of(style)
+    figure = Picture(figsize=look.diagnostics_size)
     disc = Disc(identification.flux_map, identification.i_max)
-    _draw_sigma(place(figure, 0.65, 5.75, 2.4, 2.5), disc)
-    draw_inverter(place(figure, 4.4, 5.75, 2.6, 2.45), identification)
-    _draw_along_axes(place(figure, 0.65, 3.2, 2.6, 1.85), place(figure, 4.4, 3.2, 2.6, 1.85), disc)
-    draw_residual(place(figure, 0.65, 1.0, 6.35, 1.5), over_angle(drive_residual(identification, samples)))
+    sigma, inverter, own, cross, residual = (place(figure, *where) for where in look.diagnostics)
+    _draw_sigma(sigma, disc)
+    draw_inverter(inverter, identification)
+    _draw_along_axes(own, cross, disc)
+    draw_residual(residual, over_angle(drive_residual(identification, samples)))
     return figure
 
 
@@ -176,8 +180,16 @@ def draw_residual(axes: Axes, bins: AngleBins) -> None:
                 linestyle=dashes,
             )  # fmt: skip
     low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.2 * (high - low))
-    axes.legend(fontsize=SMALL, loc="upper right", frameon=False, ncols=4)
+    axes.set_ylim(low, high + 0.3 * (high - low))
+    axes.legend(
+        fontsize=SMALL,
+        loc="upper right",
+        frameon=False,
+        ncols=4,
+        handlelength=1.4,
+        handletextpad=0.4,
+        columnspacing=0.8,
+    )
 
 
 def _grid(axes: Axes) -> None:

@@ -114,7 +114,7 @@ def draw_flux(axes: Axes, disc: Disc, component: str, i_dq: FloatArray | None = 
     frame(axes, disc, f"{PSI[component]} / {unit}")
     if i_dq is not None:
         axes.plot(
-            i_dq[:, 0], i_dq[:, 1], color="black", linewidth=0.25, alpha=0.45, zorder=_TRAJECTORY, rasterized=True
+            i_dq[:, 0], i_dq[:, 1], color="black", linewidth=0.25, alpha=0.15, zorder=_TRAJECTORY, rasterized=True
         )
     if not disc.known.any():
         return
@@ -257,7 +257,7 @@ def add_key(figure: Figure, disc: Disc, i_dq: FloatArray | None, height: float) 
     """Explain the trajectory and the hatching below the panels, at a height in inches."""
     handles: list[Line2D | Patch] = []
     if i_dq is not None:
-        handles.append(Line2D([], [], color="black", linewidth=0.5, alpha=0.7, label="measured trajectory"))
+        handles.append(Line2D([], [], color="black", linewidth=0.5, alpha=0.3, label="measured trajectory"))
     if disc.blank.any():
         handles.append(Patch(facecolor="white", edgecolor="0.55", hatch="//////", linewidth=0.5, label="no data"))
     if handles:

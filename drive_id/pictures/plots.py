@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from drive_id.core.result.diagnostics import thinned_trajectory
@@ -18,6 +16,8 @@ from drive_id.errors import ConfigurationError
 from drive_id.pictures.caption import NO_CAPTION, Caption
 from drive_id.pictures.diagnostics import draw_diagnostics
 from drive_id.pictures.panels import NORMAL, Disc, add_key, draw_flux, name, place
+from drive_id.pictures.picture import Picture, rendered
+from drive_id.pictures.styles import style_of
 from drive_id.types import FloatArray, Samples
 
 if TYPE_CHECKING:
@@ -25,10 +25,6 @@ if TYPE_CHECKING:
 
 WIDTH = 7.2
 """Of a figure, inches: the two columns of a journal, or the text of a page."""
-_DPI = 200
-"""Of a picture in a file, for print."""
-SCREEN_DPI = 100
-"""Of a picture in a notebook."""
 _MOST_POINTS = 30_000
 """Of a trajectory: more look the same, and take longer to draw than the map."""
 
@@ -39,16 +35,21 @@ def result_pictures(
     caption: Caption = NO_CAPTION,
     *,
     figure_format: str = "png",
+    style: str = "screen",
 ) -> dict[str, bytes]:
-    """Draw the pictures that stand beside a result's files, by file name, as ``png``, ``svg`` or ``pdf``.
+    """Draw the pictures that stand beside a result's files, by file name, as ``png``, ``svg``, ``pdf`` or ``pgf``.
 
     The trajectory of the samples, excerpts of the recording, is drawn over the maps, their residual over the angle.
     """
-    figures = {
-        "flux_map": draw_flux_maps(identification.flux_map, identification.i_max, trajectory(samples), caption),
-        "diagnostics": draw_diagnostics(identification, samples),
-    }
-    add_caption(figures["diagnostics"], caption)
+    look = style_of(style)
+    i_dq = None if figure_format == "pgf" else trajectory(samples)  # PGF in one file holds no pixels
+    with rc_context(look.settings):
+        figures = {
+            "flux_map": draw_flux_maps(identification.flux_map, identification.i_max, i_dq, caption, style=style),
+            "diagnostics": draw_diagnostics(identification, samples, style),
+        }
+        if look.told:
+            add_caption(figures["diagnostics"], caption)
     return {f"{name}.{figure_format}": rendered(figure, figure_format) for name, figure in figures.items()}
 
 
@@ -58,6 +59,8 @@ def draw_flux_maps(
     i_dq: FloatArray | None = None,
     caption: Caption = NO_CAPTION,
     panels: Sequence[Axes] | None = None,
+    *,
+    style: str = "screen",
 ) -> Figure:
     """Draw psi_d and psi_q side by side over the current disc, and a trajectory (N, 2), A, which NaN interrupts.
 
@@ -65,22 +68,24 @@ def draw_flux_maps(
 
     Raises ConfigurationError when there are not two panels.
     """
-    disc = Disc(flux_map, i_max)
-    if panels is None:
-        figure = Figure(figsize=(WIDTH, 3.75))
-        add_key(figure, disc, i_dq, height=0.57)
-        add_caption(figure, caption)
-        panels = [place(figure, left, 1.05, 2.3, 2.4) for left in (0.65, 4.17)]
-    if len(panels) != len("dq"):
-        raise ConfigurationError("ax is not a pair of axes: give two, as of plt.subplots(1, 2).")
-    for panel, component in zip(panels, "dq", strict=True):
-        draw_flux(panel, disc, component, i_dq)
+    disc, look = Disc(flux_map, i_max), style_of(style)
+    with rc_context(look.settings):
+        if panels is None:
+            figure = Picture(figsize=look.size)
+            if look.told:
+                add_key(figure, disc, i_dq, height=0.57)
+                add_caption(figure, caption)
+            panels = [place(figure, *where) for where in look.maps]
+        if len(panels) != len("dq"):
+            raise ConfigurationError("ax is not a pair of axes: give two, as of plt.subplots(1, 2).")
+        for panel, component in zip(panels, "dq", strict=True):
+            draw_flux(panel, disc, component, i_dq if look.told else None)
     return panels[0].figure  # type: ignore[return-value]  # or the part of it that holds the panels
 
 
 def draw_torque_speed(curves: Mapping[str, Sequence[FloatArray]], panel: Axes | None = None) -> Figure:
     """Draw by name speed (S,), rad/s, largest torque and its standard error, Nm, on a panel or in a new figure."""
-    axes = Figure(figsize=(WIDTH, 3.75), layout="constrained").add_subplot() if panel is None else panel
+    axes = Picture(figsize=(WIDTH, 3.75), layout="constrained").add_subplot() if panel is None else panel
     for label, (speed, torque, sigma) in curves.items():
         axes.plot(speed * 30 / np.pi, torque, label=label)
         axes.fill_between(speed * 30 / np.pi, torque - 2 * sigma, torque + 2 * sigma, alpha=0.3)
@@ -91,7 +96,7 @@ def draw_torque_speed(curves: Mapping[str, Sequence[FloatArray]], panel: Axes | 
 
 def overview_picture(view: Overview, figure_format: str = "png") -> bytes:
     """Draw a log: currents and references over time, the current plane, and the speed."""
-    figure = Figure(figsize=(9.0, 5.0), layout="constrained")
+    figure = Picture(figsize=(9.0, 5.0), layout="constrained")
     grid = figure.add_gridspec(3, 2, width_ratios=(1.5, 1.0))
     for row, component in enumerate("dq"):
         axes = figure.add_subplot(grid[row, 0])
@@ -122,16 +127,3 @@ def add_caption(figure: Figure, caption: Caption) -> None:
     """Write a caption below the panels."""
     height = figure.get_size_inches()[1]
     figure.text(0.5, 0.07 / height, caption.text(), fontsize=NORMAL, ha="center", va="bottom", linespacing=1.4)
-
-
-def rendered(figure: Figure, figure_format: str = "png", dpi: int = _DPI) -> bytes:
-    """Render a figure as ``png``, ``svg`` or ``pdf``."""
-    FigureCanvasAgg(figure)
-    buffer = io.BytesIO()
-    lines = rc_context({"hatch.linewidth": 0.4, "svg.hashsalt": "drive_id"})
-    with lines, np.errstate(over="ignore", invalid="ignore"):  # matplotlib projects uninitialized corners of surfaces
-        if figure_format == "png":
-            figure.savefig(buffer, format="png", dpi=dpi, pil_kwargs={"compress_level": 3})  # 40 % faster than 6
-        else:
-            figure.savefig(buffer, format=figure_format, dpi=dpi)
-    return buffer.getvalue()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -11,7 +9,6 @@ from rich.table import Table
 
 from drive_id.exchange.comparison import Comparison
 from drive_id.pictures.panels import PSI, SMALL, add_colour_bar, levels, name_currents, place
-from drive_id.quantity import measured
 from drive_id.reporting.tables import plain_table
 from drive_id.result.result import Result
 from drive_id.types import FloatArray
@@ -60,25 +57,8 @@ def _name(result: Result) -> str:
 
 def difference_table(comparison: Comparison) -> Table:
     """Lay out the figures of a comparison."""
-    tree = comparison.tree()
-    title = f"A − B where both have data; A: {_name(comparison.first)}, B: {_name(comparison.second)}"
-    table = plain_table(title, ["Quantity"], ["Difference", "Std. errors"])
-
-    def sigmas(value: float | None) -> str:
-        return "unknown" if value is None else f"{value:.3g}"
-
-    for axis in "dq":
-        rms = f"{measured(tree[f'rms_{axis}'], unit='Wb')} ({100 * tree[f'nrmse_{axis}']:.4g} %)"
-        table.add_row(f"ψ_{axis}, rms (NRMSE)", rms, sigmas(tree[f"rms_{axis}_in_sigma"]))
-    worst = tree["worst"]
-    size = math.hypot(worst["psi_d"], worst["psi_q"])
-    table.add_row("ψ, largest", measured(size, unit="Wb"), sigmas(tree["largest_in_sigma"]))
-    table.add_row("  at i_d, i_q", f"{measured(worst['i_d'], unit='A')}, {measured(worst['i_q'], unit='A')}", "")
-    known = "unknown" if tree["resistance"] is None else measured(tree["resistance"], unit="Ω")
-    table.add_row("R", known, sigmas(tree["resistance_in_sigma"]))
-    for what, key, unit in (("Inverter curve", "inverter_curve", "V"), ("Torque", "torque", "Nm")):
-        if (found := tree[key]) is not None:
-            pair = f"{measured(found['rms'], unit=unit)} ({measured(found['largest'], unit=unit)})"
-            table.add_row(f"{what}, rms (largest)", pair, "")
-    table.add_row("Points compared", str(tree["points"]), "")
+    (name, *numbers), *rows = comparison.rows()
+    table = plain_table(comparison.title, [name], numbers)
+    for row in rows:
+        table.add_row(*row)
     return table

@@ -19,20 +19,11 @@ _MOST_FIELDS = 60  # of a topic that are listed
 def inspection_tables(found: Inspection) -> Iterator[Table]:
     """Yield the contents, and the overview if there is one."""
     yield from contents_tables(found.contents)
-    if found.overview is None:
-        return
-    seen = found.overview.figures
-    table = plain_table("Joined samples", ["Quantity", "Value"])
-    low, mean, high = (seen[name] * 30 / np.pi for name in ("speed_min", "speed_mean", "speed_max"))
-    every = f"{seen['sample_period'] * 1e6:.6g} µs"
-    table.add_row("Samples", f"{seen['samples']} every {every}, {seen['duration']:.4g} s")
-    table.add_row("Gaps", f"{seen['runs'] - 1}, {seen['time_lost']:.4g} s in total")
-    table.add_row("Electrical speed", f"{low:.5g} to {high:.5g} rpm, mean {mean:.5g} rpm")
-    table.add_row("Turn per sample", f"{np.rad2deg(seen['turn_per_sample']):.3g}° electrical")
-    table.add_row("i_d", f"{seen['i_d_min']:.4g} to {seen['i_d_max']:.4g} A")
-    table.add_row("i_q", f"{seen['i_q_min']:.4g} to {seen['i_q_max']:.4g} A")
-    table.add_row("Disc", f"{seen['i_max']:.4g} A, {100 * seen['coverage']:.0f} % visited")
-    yield table
+    if rows := found.rows():
+        table = plain_table("Joined samples", ["Quantity", "Value"])
+        for row in rows:
+            table.add_row(*row)
+        yield table
 
 
 def contents_tables(contents: Contents) -> Iterator[Table]:

@@ -11,10 +11,10 @@ from rich.table import Table
 from drive_id.quantity import measured
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Sequence
     from pathlib import Path
 
-    from drive_id.analysis.folder import Figure
+    from drive_id.analysis.folder import Analysis
     from drive_id.core.planning.planner import Plan
     from drive_id.core.result.identification import Mechanics, TorqueFit
     from drive_id.files.read.info import BagInfo
@@ -57,7 +57,9 @@ def fit_table(fit: Result, *, verbose: bool = False) -> Table:
     if known.nrmse:
         row("NRMSE of ψ_d / ψ_q", " / ".join(f"{100 * value:.3f} %" for value in known.nrmse))
     if origin.diagnostics:
-        row("MAD of simulated i_d / i_q", " / ".join(_deviation(value) for value in (report.mad_d, report.mad_q)))
+        row(
+            "Mean error of simulated i_d / i_q", " / ".join(_deviation(value) for value in (report.mad_d, report.mad_q))
+        )
     if origin.fitted:
         row("Residual, rms over a sample", measured(report.residual_rms, unit="V"))
     row("Disc covered", f"{100 * report.coverage:.1f} %")
@@ -173,7 +175,7 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
     table.add_row("Disc", f"{evidence.i_max:.6g} A, {100 * evidence.coverage():.1f} % covered")
     table.add_row("Flux model", f"{settings.flux_model}, {evidence.model.parameters} unknowns")
     table.add_row("Time blocks", f"{len(information.blocks)} of {information.block_duration:.4g} s")
-    table.add_row("Samples kept for the MAD", f"{seconds:.3f} s of {len(found.validation)} recordings")
+    table.add_row("Samples kept for simulated currents", f"{seconds:.3f} s of {len(found.validation)} recordings")
     if found.truth:
         table.add_row("Ground truth of", escape(found.truth.machine))
     for file, digest in found.digests.items():
@@ -181,27 +183,13 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
     return table
 
 
-def figures_table(name: str, figures: Mapping[str, Figure]) -> Table:
+def figures_table(name: str, analysis: Analysis) -> Table:
     """Lay out the single numbers of an analysis with their standard errors."""
     table = plain_table(f"Analysis of {name}", ["Quantity"], ["Value"])
     table.columns[1].no_wrap = True
-    for quantity, figure in figures.items():
-        factor, unit = _SHOWN.get(figure.unit, (1.0, figure.unit))
-        shown = measured(factor * figure.value, factor * figure.sigma, unit)
-        table.add_row(
-            _NAMED.get(quantity, quantity.replace("_", " ")), shown + ("" if figure.inside else " (extrapolated)")
-        )
+    for row in analysis.rows():
+        table.add_row(*row)
     return table
-
-
-_NAMED = {
-    "resistance": "R", "magnet_flux": "ψ_PM", "L_dd": "L_d at zero current", "L_qq": "L_q at zero current",
-    "saliency": "L_q / L_d at zero current", "mtpa_angle": "MTPA angle at i_max", "kp_d": "k_p, d", "kp_q": "k_p, q",
-    "ki": "k_i",
-}  # fmt: skip
-"""Names for people where they are not those of the figure in words; one spelling in all tables."""
-_SHOWN = {"rad": (180 / math.pi, "°"), "rad/s": (30 / math.pi, "rpm")}
-"""Factor and name of the unit in which a quantity is shown."""
 
 
 def verification_table(rows: Iterable[Sequence[str]]) -> Table:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -19,7 +18,7 @@ from drive_id.files.results.identification import Provenance, read_judged, read_
 from drive_id.messages import Message
 from drive_id.origins import Origin
 from drive_id.pictures.caption import Caption
-from drive_id.quantity import Quantity, measured
+from drive_id.quantity import Quantity, html_table, measured
 from drive_id.result.advice import advice
 from drive_id.result.tables import map_dataset, pandas_library
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
@@ -374,14 +373,11 @@ class Result:
             **{quantity.name: str(quantity) for quantity in self.headline},
             "Disc covered": f"{100 * metrics['coverage']:.0f} %",
             "NRMSE of ψ_d / ψ_q": _percent(metrics["nrmse_d"], metrics["nrmse_q"]),
-            "MAD of i_d / i_q": mad if self.origin.diagnostics else "",
+            "Mean error of simulated i_d / i_q": mad if self.origin.diagnostics else "",
             "Advice": next(iter(self.advice), ""),
             **{f"Warning {number}": text for number, text in enumerate(self.warnings, start=1)},
         }
-        cells = (
-            f"<tr><th>{html.escape(name)}</th><td>{html.escape(text)}</td></tr>" for name, text in rows.items() if text
-        )
-        return f"<table>{''.join(cells)}</table>"
+        return html_table((name, text) for name, text in rows.items() if text)
 
 
 def _percent(*values: float) -> str:

@@ -27,7 +27,7 @@ def comparison(results: Mapping[str, Identified], truth: GroundTruth | None) -> 
     rows = [
         ("R", resistances, truth and measured(truth.resistance, unit="Ω")),
         ("Inverter drop", [_drop(m) for m in maps], drop),
-        ("MAD of i_d / i_q", [f"{r.mad_d:.3g} / {r.mad_q:.3g} A" for r in reports], ""),
+        ("Mean error of simulated i_d / i_q", [f"{r.mad_d:.3g} / {r.mad_q:.3g} A" for r in reports], ""),
         ("Disc covered", [f"{100 * r.coverage:.1f} %" for r in reports], ""),
         ("Samples used", [f"{r.samples_used} of {r.samples_read}" for r in reports], ""),
     ]

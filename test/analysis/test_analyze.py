@@ -211,7 +211,10 @@ def test_without_a_dc_link_all_that_needs_none_is_there(result, tmp_path):
     found.save(tmp_path / "analysis")
     assert not (tmp_path / "analysis" / "torque_speed.csv").exists()
     assert (tmp_path / "analysis" / "mtpa.csv").read_bytes() != b""
-    assert "rpm" not in repr(found).rpartition(",")[2]
+    assert "rpm" not in found.summary.rpartition(",")[2]
+    (corner,) = (row for row in known.rows() if row[0] == "corner speed")
+    assert corner[1].endswith(" rpm")  # as on the command line
+    assert " ".join(corner) in " ".join(repr(known).split())
 
 
 @pytest.mark.slow  # several analyses

@@ -83,7 +83,7 @@ def test_bad_input_is_one_sentence(log, tmp_path, capsys, monkeypatch):
         assert end.value.code == 1
         return capsys.readouterr().err
 
-    assert "does not exist" in refused("check", tmp_path / "none")
+    assert "There is no " in refused("check", tmp_path / "none")
     (tmp_path / "x.mcap").write_bytes(b"no bag")
     assert "neither an MCAP" in refused("check", tmp_path / "x.mcap")
     (tmp_path / "there.yaml").write_text("mine")

@@ -82,7 +82,7 @@ def test_bad_input_is_told_in_one_sentence_and_leaves_nothing(run, bag, simulati
         (("accumulate", bag, "--output", tmp_path / "notes"), "exists already"),
         (("accumulate", bag, "--output", tmp_path / "notes" / "x.info"), "because of"),
         (("accumulate", bag, "--output", "x.info", "--i-max", "-3"), "i_max is -3"),
-        (("accumulate", bag, "none", "--output", "x.info", "--i-max", "300"), "none does not exist"),
+        (("accumulate", bag, "none", "--output", "x.info", "--i-max", "300"), "There is no none here"),
         (("fit", "none.info", "--output", "out"), "none.info cannot be read (No such file or directory)"),
         (("fit", bag, tmp_path / "cut.info", "--output", "out"), "cut.info is not an information file"),
         (("info", tmp_path / "cut.info"), "cut.info is not an information file"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import io
 import os
 import pty
 import re
@@ -13,7 +14,9 @@ import termios
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from drive_id.cli import console
 from drive_id.core.fit_settings import FitSettings
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
@@ -41,6 +44,22 @@ def _read(descriptor):
         return os.read(descriptor, 65536)
     except OSError:  # the other end is closed: Linux says EIO instead of an end of file
         return b""
+
+
+def said(sentence, **options):
+    """Return the lines of a sentence."""
+    text = io.StringIO()
+    terminal = Console(file=text, color_system=None, _environ={}, **options)
+    console.say(sentence, to=lambda: terminal)
+    return text.getvalue().splitlines()
+
+
+def test_a_sentence_breaks_between_words_only():
+    sentence = "The answer is in a/folder/whose/name/is/longer/than/any/line and not somewhere else."
+    lines = said(sentence, width=30, force_terminal=True)
+    assert " ".join(line.strip() for line in lines) == sentence
+    assert [line for line in lines if len(line.rstrip()) > 30] == ["a/folder/whose/name/is/longer/than/any/line"]
+    assert said(sentence, width=30, force_terminal=False) == [sentence]
 
 
 @pytest.mark.process

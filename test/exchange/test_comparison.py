@@ -11,7 +11,7 @@ from exchange_machine import AT, I_D, I_MAX, I_Q, PAIRS, flux, grids, result
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import CoverageError
 from drive_id.exchange.comparison import compare
-from drive_id.pictures.plots import rendered
+from drive_id.pictures.picture import rendered
 from drive_id.reporting.difference import difference_table, draw_difference
 
 
@@ -72,6 +72,15 @@ def test_what_is_unknown_is_none():
     names = ("rms_d_in_sigma", "largest_in_sigma", "resistance", "resistance_in_sigma", "inverter_curve", "torque")
     assert [tree[name] for name in names] == [None] * len(names)
     assert tree["nrmse_d"] > 0
+
+
+def test_python_shows_the_verdict_and_the_table_of_the_command_line():
+    found = compare(changed(), result())
+    shown = repr(found)
+    assert found.verdict in shown
+    assert "array(" not in shown
+    assert len(shown.splitlines()) == 3 + 8  # names, verdict, heading
+    assert found._repr_html_().count("<tr>") == 9
 
 
 def test_picture_and_table():

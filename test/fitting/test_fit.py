@@ -218,7 +218,7 @@ def test_the_table_says_what_was_found(fitted):
     assert table["Samples used"][0] == "19999 of 20000"
     diverged = replace(fitted.drive.report, mad_d=float("nan"))
     other = replace(fitted, drive=replace(fitted.drive, report=diverged))
-    assert cells(fit_table(other))["MAD of simulated i_d / i_q"][0].startswith("diverged / ")
+    assert cells(fit_table(other))["Mean error of simulated i_d / i_q"][0].startswith("diverged / ")
     short = replace(fitted, drive=replace(fitted.drive, sigma_resistance=float("inf")))
     assert cells(fit_table(short))["R"][0] == f"{1e3 * fitted.resistance:.4g} mΩ"
 

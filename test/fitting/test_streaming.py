@@ -224,7 +224,7 @@ def test_bad_recordings_are_refused_in_the_same_words(simulation, tmp_path):
             with pytest.raises(kind) as found:
                 accumulate([path], replace(SETTINGS, i_max=i_max))
             assert str(found.value) == str(expected.value)
-    with pytest.raises(NotABagError, match="does not exist"):
+    with pytest.raises(NotABagError, match="There is no "):
         accumulate([tmp_path / "none"], SETTINGS)
 
 

@@ -198,6 +198,8 @@ resolver: {angle: theta, speed: omega}
 
 def test_our_own_recording_has_no_finding(bag, simulation):
     found = check(bag)
+    assert "No problems found.\nSamples  " in repr(found)
+    assert "array(" not in repr(found)
     assert [finding.code for finding in found.findings] == []
     figures = found.overview.figures
     assert figures["samples"] == len(simulation.samples)

@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import importlib
+import shutil
 import struct
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from matplotlib.backends.backend_pgf import LatexManager
 from matplotlib.image import imread
 from matplotlib.text import Text
 
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.result.identification import HarmonicMap
+from drive_id.errors import ConfigurationError
 from drive_id.messages import Message
 from drive_id.pictures.caption import Caption
 from drive_id.pictures.diagnostics import draw_diagnostics
 from drive_id.pictures.panels import Disc, levels
-from drive_id.pictures.plots import draw_flux_maps, rendered, result_pictures, trajectory
+from drive_id.pictures.picture import rendered
+from drive_id.pictures.plots import draw_flux_maps, result_pictures, trajectory
 
 NAMES = ["diagnostics.png", "flux_map.png"]
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
@@ -258,6 +263,36 @@ def test_formats(drive, excerpts, figure_format):
     for content in pictures.values():
         assert content.startswith(start)
         assert len(content) < 3e6  # the trajectory is not drawn as 20000 vectors
+
+
+def test_a_column_of_a_journal_is_serif_with_fonts_that_journals_take(drive, excerpts):
+    pictures = result_pictures(drive, excerpts, Caption("ipm"), figure_format="pdf", style="ieee")
+    for content in pictures.values():
+        assert b"/MediaBox [ 0 0 252 " in content  # points: 3.5 in
+        assert b"STIXGeneral" in content
+        assert b"/Subtype /Type3" not in content
+    with pytest.raises(ConfigurationError, match="style is 'acm': it must be one of screen, ieee"):
+        result_pictures(drive, excerpts, style="acm")
+
+
+def test_a_figure_shows_itself_in_a_notebook_and_saves_fonts_that_journals_take(fitted, tmp_path):
+    figure = fitted.plot()
+    assert figure._repr_png_().startswith(b"\x89PNG")
+    figure.savefig(tmp_path / "map.pdf")
+    assert b"/Subtype /Type3" not in (tmp_path / "map.pdf").read_bytes()
+
+
+def test_pgf_is_refused_without_tex_and_written_with_it(drive, excerpts, monkeypatch):
+    """TeX is replaced here by a measure of its own: what it measures is not the point."""
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    with pytest.raises(ConfigurationError, match="install xelatex or lualatex"):
+        result_pictures(drive, excerpts, figure_format="pgf")
+    monkeypatch.setattr(shutil, "which", lambda name: name)
+    measure = SimpleNamespace(get_width_height_descent=lambda text, _: (5.0 * len(text), 8.0, 2.0))
+    monkeypatch.setattr(LatexManager, "_get_cached_or_new", lambda: measure)
+    for content in result_pictures(drive, excerpts, figure_format="pgf").values():
+        assert content.startswith(b"%% Creator: Matplotlib, PGF backend")
+        assert b"includegraphics" not in content
 
 
 @pytest.mark.slow  # it is timed again where the machine is busy

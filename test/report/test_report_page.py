@@ -238,7 +238,7 @@ def test_a_full_result_shows_bands_phases_and_faults(page_of_full):
     assert "Record longer: " in text
     assert "What would help most" not in text
     (row,) = (row for row in page.by_id("identifiable").all("tr") if "resolver offset" in row.text())
-    assert [cell.text() for cell in row.children] == ["resolver offset", "10.0 ± 1.0 mrad", "corrected"]
+    assert [cell.text() for cell in row.children] == ["resolver offset", "0.573 ± 0.057 °", "corrected"]
     assert [entry["name"] for entry in page.data("charts")["comparison"]["methods"]] == ["psm", "joint"]
 
 

@@ -53,8 +53,8 @@ class ColumnStream(LogSignals):
     def __init__(self, log: ColumnLog, signals: SignalMap) -> None:
         if not signals.of_columns:
             raise ConfigurationError(
-                f"{log.path} is a {log.kind} file, but the signals are read from topics: give a signals file that "
-                "names columns, which 'drive-id check LOG --draft FILE' proposes."
+                f"{log.path} is a {log.kind} file, but no signals file says which columns hold the signals: "
+                f"'drive-id check {log.path} --draft signals.yaml' writes one, and --signals signals.yaml uses it."
             )
         self._log = log
         self._sections: dict[str, _Section] = {}
@@ -107,7 +107,7 @@ class ColumnStream(LogSignals):
         }
         return (*super().remarks(), *found.values())
 
-    def _progress(self) -> float:
+    def progress(self) -> float:  # noqa: D102  # as in LogSignals
         return self._share
 
 

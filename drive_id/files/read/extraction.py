@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Collection, Generator, Iterable, Iterator
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,11 +38,8 @@ class DividedError(Exception):
     """The drive was restarted or exchanged within the bag: read each of its parts by itself."""
 
 
-class SignalPart(NamedTuple):
-    """One part of the signals, by section, those without a sample in it missing; and the share read so far, 0 to 1."""
-
-    signals: dict[str, Signal]
-    progress: float
+SignalPart = dict[str, Signal]
+"""One part of the signals, by section, those without a sample in it missing."""
 
 
 class LogSignals:
@@ -84,8 +81,10 @@ class LogSignals:
         declared = all(source.sample_period is not None for source in required)
         return bool(self._signals.resolver.own_speed) and declared and not self._signals.at_once
 
-    def whole(self) -> dict[str, Signal]:
+    def whole(self, tell: Callable[[float], None] = lambda _: None) -> SignalPart:
         """Return the complete signals by section, in SI units; reference and optional signals only if they are there.
+
+        ``tell`` is called with the part of the log that has been read, 0 to 1.
 
         Raises MessageTypeError when a signal cannot be read from the type or fields of its topic, EmptyTopicError when
         a topic holds no sample, SamplePeriodError when its declared period changes, is not positive, or is missing
@@ -96,7 +95,8 @@ class LogSignals:
         for section, piece in self._pieces():
             pieces[section].append(piece)
             if section == "currents":
-                guard.add(len(piece.columns[0]), self._progress())
+                guard.add(len(piece.columns[0]), self.progress())
+                tell(self.progress())
         self._refuse_empty(pieces)
         return self._built({section: pieces[section] for section in self._sources if section in pieces})
 
@@ -111,9 +111,9 @@ class LogSignals:
             if section == "currents":
                 count += len(piece.columns[0])
             if count >= PART_SAMPLES:
-                yield SignalPart(self._built(pieces), self._progress())
+                yield self._built(pieces)
                 pieces, count = defaultdict(list), 0
-        yield SignalPart(self._built(pieces), self._progress())
+        yield self._built(pieces)
         self._refuse_empty(seen)
 
     def remarks(self) -> tuple[Message, ...]:
@@ -145,7 +145,7 @@ class LogSignals:
                     "publishes it, or name another source in a signals file."
                 )
 
-    def _built(self, pieces: dict[str, list[MessageSamples]]) -> dict[str, Signal]:
+    def _built(self, pieces: dict[str, list[MessageSamples]]) -> SignalPart:
         with np.errstate(invalid="ignore", over="ignore"):  # the join reports values that are not finite
             return {section: self._builders[section].build(found) for section, found in pieces.items()}
 
@@ -153,7 +153,7 @@ class LogSignals:
         """Yield section and piece for whatever is read at once, if it holds samples, in order of arrival."""
         raise NotImplementedError
 
-    def _progress(self) -> float:
+    def progress(self) -> float:
         """Return the part of the log that has been read, 0 to 1."""
         raise NotImplementedError
 
@@ -207,7 +207,7 @@ class SignalStream(LogSignals):
                 yield message
             number += message.topic in self._feedback
 
-    def _progress(self) -> float:
+    def progress(self) -> float:  # noqa: D102  # as in LogSignals
         return sum(storage.progress for storage in self._bag.storages) / max(len(self._bag.storages), 1)
 
 

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
 from drive_id.core.signals.held_references import HeldReferences
-from drive_id.core.signals.join import SECTIONS, JoinResult, Piece, StreamJoin, join
+from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin, join
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import ConfigurationError, DataError, MissingTopicError
 from drive_id.files.logs.column_log import ColumnLog
@@ -41,6 +40,8 @@ CAPACITY = 1 << 20
 _LOCKING_PAIRS = 1 << 17  # samples by which the offset between the signals is measured, 13 s at 10 kHz
 _AHEAD = 2
 """Parts that another thread prepares."""
+_BEAT = 0.2
+"""Seconds after which the progress is told again while a part is awaited: a bar that moves less often seems stuck."""
 
 _PROPORTIONAL = {
     "sample_period": "flux linkages and inductances are proportional to it",
@@ -100,17 +101,14 @@ def bag_pieces(
     with _opened(path, signals, namespace, part=part) as (log, truth, stream):
         if part is None and isinstance(log, Bag) and log.metadata is not None and log.metadata.changes:
             raise DividedError
-        if whole or not stream.continuous:
-            result = _joined_at_once(path, stream, signals)
-            warnings = list(result.report.warnings)
-            yield Piece(result.samples, False)
+        warnings: list[Message] = []
+        at_once = whole or not stream.continuous
+        if at_once:  # by this thread, which an interrupt stops at any time
+            joined = _joined_at_once(path, stream, signals, warnings, tell)
         else:
-            warnings = []
-            with closing(prefetched(_joined(path, stream, signals, warnings, threads), _AHEAD, threads)) as pieces:
-                for piece, progress in pieces:
-                    yield piece
-                    tell(progress)
-            warnings += stream.remarks()
+            joined = _joined(path, stream, signals, warnings, threads)
+        with closing(prefetched(joined, _AHEAD, threads and not at_once, lambda: tell(stream.progress()))) as pieces:
+            yield from pieces
         end(BagFacts(truth, (*log.warnings, *warnings, *guesses(signals)), log.checked))
 
 
@@ -140,8 +138,11 @@ def _opened(
         yield bag, truth, SignalStream(bag, signals, topics, part)
 
 
-def _joined_at_once(path: Path, stream: LogSignals, signals: SignalMap) -> JoinResult:
-    found = stream.whole()
+def _joined_at_once(
+    path: Path, stream: LogSignals, signals: SignalMap, warnings: list[Message], tell: Callable[[float], None]
+) -> Generator[Piece, None, None]:
+    """Yield all samples as one piece; add the warnings."""
+    found = stream.whole(tell)
     if stream.divided:
         raise DividedError
     with _naming(path):
@@ -155,8 +156,8 @@ def _joined_at_once(path: Path, stream: LogSignals, signals: SignalMap) -> JoinR
             scaled_by=signals.voltages.scaled_by,
             to_phases=conversions(signals),
         )
-    report = replace(result.report, warnings=(*result.report.warnings, *stream.remarks(), *said))
-    return JoinResult(undecimated(replace(result.samples, angle_error=angle_error), signals), report)
+    warnings.extend((*result.report.warnings, *stream.remarks(), *said))
+    yield Piece(undecimated(replace(result.samples, angle_error=angle_error), signals), False)
 
 
 @contextmanager
@@ -170,8 +171,8 @@ def _naming(path: Path) -> Iterator[None]:
 
 def _joined(
     path: Path, stream: LogSignals, signals: SignalMap, warnings: list[Message], threads: bool
-) -> Generator[tuple[Piece, float], None, None]:
-    """Yield joined samples with the part of the bag that was read for them; add the warnings at the end."""
+) -> Generator[Piece, None, None]:
+    """Yield joined samples; add the warnings at the end."""
     topics = stream.topics
     names = (topics["currents"].name, topics["voltages"].name, topics["resolver"].name)
     references = _References()
@@ -193,24 +194,24 @@ def _joined(
                 raise DividedError
             references.add(part)  # one part ahead: a set-point may be stored behind the samples it is due at
             for name in INTERPOLATED:
-                if name in part.signals:
-                    joining.add_scalar(name, part.signals[name])
+                if name in part:
+                    joining.add_scalar(name, part[name])
             if before is not None:
-                yield from ((piece, before.progress) for piece in _advanced(path, joining, before))
+                yield from _advanced(path, joining, before)
             before = part
     if before is not None:
-        yield from ((piece, 1.0) for piece in _advanced(path, joining, before))
+        yield from _advanced(path, joining, before)
     end, rest = joining.finished()
-    yield from ((piece, 1.0) for piece in rest)
+    yield from rest
     with _naming(path):
         end.check()
-    warnings.extend(end.report().warnings)
+    warnings.extend((*end.report().warnings, *stream.remarks()))
 
 
 def _advanced(path: Path, joining: StreamJoin, part: SignalPart) -> list[Piece]:
     for number, section in enumerate(SECTIONS):
-        if section in part.signals:
-            joining.add(number, part.signals[section])
+        if section in part:
+            joining.add(number, part[section])
     with _naming(path):
         pieces = joining.advance()
         if joining.failing:
@@ -227,7 +228,7 @@ class _References:
         self._held: HeldReferences | None = None
 
     def add(self, part: SignalPart) -> None:
-        signal = part.signals.get("reference")
+        signal = part.get("reference")
         if signal is None:
             return
         if self._held is None:
@@ -300,20 +301,31 @@ def _missing(bag: Bag, name: str, section: str) -> MissingTopicError:
     )
 
 
-def prefetched(items: Generator[Item, None, None], ahead: int, threads: bool = True) -> Generator[Item, None, None]:
+def prefetched(
+    items: Generator[Item, None, None], ahead: int, threads: bool = True, tell: Callable[[], None] = lambda: None
+) -> Generator[Item, None, None]:
     """Yield the items, produced in another thread up to ``ahead`` of them in advance if ``threads``.
 
-    Errors in that thread are raised here. Close the generator to end the thread.
+    ``tell`` is called, by the thread of the caller, with every item and while one is waited for. Errors in the other
+    thread are raised here. Close the generator to end it.
     """
     if not threads:
-        yield from items
+        for item in items:
+            tell()
+            yield item
         return
     with ThreadPoolExecutor(1, "reader") as pool:
-        waiting = deque(pool.submit(next, items, None) for _ in range(ahead))
+        waiting = [pool.submit(next, items, None) for _ in range(ahead)]
         try:
-            while (item := waiting.popleft().result()) is not None:
+            while True:
+                while not wait(waiting[:1], _BEAT).done:
+                    tell()
+                found = waiting.pop(0).result()
+                if found is None:
+                    break
+                tell()
                 waiting.append(pool.submit(next, items, None))
-                yield item
+                yield found
         finally:
             pool.shutdown(cancel_futures=True)
             items.close()

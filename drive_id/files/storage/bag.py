@@ -220,7 +220,7 @@ def _readable(path: Path) -> Iterator[None]:
     """Raise NotABagError when a path does not exist or cannot be read."""
     try:
         if not path.exists():
-            raise NotABagError(f"{path} does not exist: give a rosbag2 file or folder.")
+            raise NotABagError(f"There is no {path}{'' if path.is_absolute() else ' here'}: check its name and folder.")
         yield
     except OSError as error:
         raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error

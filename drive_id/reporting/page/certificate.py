@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from drive_id.analysis.verification import Judgement, Verification
 from drive_id.pictures.panels import PSI, add_colour_bar, levels, name_currents, place
-from drive_id.pictures.plots import rendered
+from drive_id.pictures.picture import rendered
 from drive_id.quantity import measured
 from drive_id.reporting.page.html import filled
 from drive_id.result.result import Result

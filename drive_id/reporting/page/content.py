@@ -274,7 +274,7 @@ def _methods(result: Result) -> TextTable:
         rows = [_method_row(found, own=found is own) for found in every]
     return TextTable(
         "The same data with and without a model of the inverter",
-        ("Method", "R", "Inverter drop", "Residual, rms", "MAD i_d / i_q", "NRMSE ψ_d / ψ_q"),
+        ("Method", "R", "Inverter drop", "Residual, rms", "Mean error of simulated i_d / i_q", "NRMSE ψ_d / ψ_q"),
         tuple(rows),
     )
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.folder import check_absent, replace_file
-from drive_id.pictures.plots import rendered
+from drive_id.pictures.picture import rendered
 from drive_id.reporting.page.charts import charts_of
 from drive_id.reporting.page.content import content_of
 from drive_id.reporting.page.html import GENERATOR, rendered_page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -221,6 +222,27 @@ def test_items_come_in_order_and_errors_where_they_are_used():
         found.extend(prefetched(items(), 3))
     assert found == [] or found == list(range(100))
     assert list(prefetched((k for k in range(50)), 2)) == list(range(50))
+
+
+def test_the_progress_is_told_while_an_item_is_awaited():
+    """By the thread of the caller: a bag of single samples stood at 0 % for 15 s."""
+    told = []
+
+    def slow():
+        while len(told) < 2:
+            time.sleep(0.01)
+        yield 1
+
+    assert list(prefetched(slow(), 1, tell=lambda: told.append(threading.current_thread()))) == [1]
+    assert set(told) == {threading.current_thread()}
+
+
+def test_a_recording_read_at_once_tells_its_progress(bag):
+    told = []
+    list(bag_pieces(bag, SignalMap(), whole=True, threads=False, tell=told.append))
+    assert len(told) > 2
+    assert told == sorted(told)
+    assert told[-1] > 0.9
 
 
 def test_closing_ends_the_thread_and_what_it_reads():

@@ -87,7 +87,7 @@ def sqlite_copy(bag: Path, target: Path) -> Path:
 
 
 def test_paths_that_are_no_bag(tmp_path):
-    refused(tmp_path / "none", NotABagError, "none does not exist")
+    refused(tmp_path / "none", NotABagError, "none: check its name and folder")
     (tmp_path / "folder").mkdir()
     refused(tmp_path / "folder", NotABagError, "folder without an .mcap or .db3 file")
     (tmp_path / "result").mkdir()

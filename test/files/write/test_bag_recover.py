@@ -301,7 +301,7 @@ def test_outputs_that_are_there(copy):
         recover_bag(copy)
     with pytest.raises(OutputError, match="cannot be written"):
         recover_bag(copy, copy / "bag_0.mcap" / "below")
-    with pytest.raises(NotABagError, match="does not exist"):
+    with pytest.raises(NotABagError, match="There is no "):
         recover_bag(copy / "nowhere")
 
 

@@ -75,7 +75,7 @@ MAKE = {
     "safety ARGS='--rounds 0 --scripts 200 --seed 12'": "--scripts 2 --allowance 1.5",
     "population": "--help",
     "population ARGS='--seed 2'": "--count 1 --methods joint --jobs 1 --output old.json",  # more: test_population.py
-    "population ARGS='--count 150 --seed 1'": "--help",
+    "population ARGS='--count 300 --seed 1'": "--help",
     "population ARGS='--only 17'": "--help",
     "population ARGS='--page docs/population.md --jobs 2'": "--help",
     "population ARGS='--against old.json'": "--help",

@@ -58,10 +58,8 @@ PolePairsOption = Annotated[
 LinkOption = Annotated[
     float | None, typer.Option("--u-dc", help="DC-link voltage, V.  \\[default: that of the result]", min=1e-3)
 ]
-WorkersOption = Annotated[int, typer.Option(help="Processes that read the bags.", min=1)]
-DaskOption = Annotated[
-    str | None, typer.Option("--dask", metavar="ADDRESS", help="Dask scheduler whose workers read the bags.")
-]
+WorkersOption = Annotated[int, typer.Option(help="Processes that read the bags.")]
+DaskOption = Annotated[str | None, typer.Option("--dask", metavar="ADDRESS", help="Let this Dask cluster read.")]
 SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out unusable bags, and say so.")]
 FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with settings.")]
 ForceFlag = Annotated[bool, typer.Option("--force", help="Replace other results, write beside other files.")]

@@ -27,6 +27,8 @@ from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources
 
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup, the nodes that are hung up on would rightly go on
+
 DRIVES = ("test/ros/", *(f"test/nodes/test_{name}" for name in ("first", "identif", "live")))
 GROUPS = dict.fromkeys(DRIVES, "drives") | {"test/nodes/": "nodes"}
 """Tests that run one after another on one worker, as they have deadlines; they mostly wait, so they come first.

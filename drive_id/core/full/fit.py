@@ -202,7 +202,7 @@ def fit_full(
         batches, energy, times, misfit = residual_statistics(sums, solution, noise)
         biases = [solver.shrinkage(solution), bias_bound, UNCERTAIN_SHARE * solver.by_remainder(solution)]
         biases.append(_by_delay(solver, uncertain, selection))
-        by_rivals = _among_rivals(solver, uncertain, selection)
+        by_rivals = _with_rivals(solver, uncertain, selection)
         changes = np.column_stack(
             [batches, *biases, misfit.changes, *by_rivals.values(), _among_curves(solver, solution)]
         )
@@ -266,7 +266,7 @@ def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> F
     return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate
 
 
-def _among_rivals(solver: Solver, solution: FullSolution, selection: Selection) -> dict[str, FloatArray]:
+def _with_rivals(solver: Solver, solution: FullSolution, selection: Selection) -> dict[str, FloatArray]:
     """Return the changes (size,) of the estimate with a rival in place of each effect that has any.
 
     Which of them the drive has is open, and so is what the others have taken.

@@ -15,7 +15,7 @@ from drive_id.core.full import window_sums
 from drive_id.core.full.calibration import corrected, rotated
 from drive_id.core.full.effect_report import effect_entries, unseen_warning
 from drive_id.core.full.effects.effect import Calibration
-from drive_id.core.full.fit import _among_rivals, fit_full, sigma
+from drive_id.core.full.fit import _with_rivals, fit_full, sigma
 from drive_id.core.full.linearized import Taken
 from drive_id.core.full.model import RESISTANCE, ModelSpec, delay_shares
 from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
@@ -161,7 +161,7 @@ def test_what_a_rival_of_an_effect_would_change_is_uncertain_and_told_if_it_matt
     search = fit.selection.search
     search = replace(search, found=replace(search.found, taken=(Taken(name, (rival,)),)))
     selection = replace(fit.selection, search=search)
-    change = _among_rivals(selection.solver, selection.solution, selection)[name]
+    change = _with_rivals(selection.solver, selection.solution, selection)[name]
     with_rival = selection.solver.solve(replace(fit.spec, effects=(rival,)))
     np.testing.assert_allclose(
         change[fit.model.map], (with_rival.estimate - selection.solution.estimate)[fit.model.map], atol=1e-12

@@ -11,7 +11,7 @@ from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.between_samples import between_samples
 from drive_id.core.full.effects.catalogue import CATALOGUE
-from drive_id.core.full.effects.effect import Linearized, between
+from drive_id.core.full.effects.effect import Ends, Linearized, between
 from drive_id.core.full.effects.resolver import mechanical_waves
 from drive_id.core.full.model import EFFECT_COLUMNS, EFFECTS, RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.winding_heat import WindingHeat
@@ -69,25 +69,26 @@ class EffectColumns:
         """Return the effects that are in the estimate, with their values."""
         return [(name, value) for name in CATALOGUE if (value := self._value(name)).any()]
 
+    def _ends(self, windows: Windows) -> Ends:
+        turn: ComplexArray = np.exp(1j * windows.angle)
+        i_s = windows.measured * turn
+        induced = (windows.held - float(self.estimate[RESISTANCE]) * i_s - self._drop(i_s, windows)) / turn
+        return Ends(windows, windows.measured, turn, induced)
+
     def _at(self, windows: Windows) -> Linearized:
-        model, turn = self.model, np.exp(1j * windows.angle)
-        i_dq, i_s = _as_complex(windows.i_dq), windows.measured * turn
-        resistance, through = float(self.estimate[RESISTANCE]), self._jacobian(windows)
+        ends, i_dq, through = self._ends(windows), _as_complex(windows.i_dq), self._jacobian(windows)
         psi, by_angle = self._flux(i_dq, windows.angle)
         image, unit = windows.current.conj(), windows.duration.astype(np.complex128)
         read = np.stack([1j * windows.current, image, 1j * image, unit, 1j * unit])
         heat = windows.heat / max(self.heat, 1e-12)
         return Linearized(
-            windows=windows,
-            currents=windows.measured,
-            turn=turn,
+            **vars(ends),
             psi=psi,
-            tilt=turn * (1j * psi + by_angle - through(1j * i_dq)),
-            induced=(windows.held - resistance * i_s - self._drop(i_s, windows)) / turn,
+            tilt=ends.turn * (1j * psi + by_angle - through(1j * i_dq)),
             through=through,
             mean_flux=self._mean_flux,
-            dropped=resistance * read
-            + windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, model.coarse_drop(self.estimate)),
+            dropped=float(self.estimate[RESISTANCE]) * read
+            + windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, self.model.coarse_drop(self.estimate)),
             heat=heat,
             warmth=heat if self.winding is None else self.winding(windows),
             link=self.link,
@@ -122,7 +123,7 @@ class EffectColumns:
         cells = self.model.resolution
         least = _BENDS * min(float(np.diff(cells.d).min()), float(np.diff(cells.q).min()))
         return bool(spec.effects) and any(
-            float(np.abs(self._shift(self._at(windows))).max(initial=0.0)) > least for windows in kept
+            float(np.abs(self._shift(self._ends(windows))).max(initial=0.0)) > least for windows in kept
         )
 
     def moved(self, windows: Windows) -> Windows:
@@ -132,12 +133,12 @@ class EffectColumns:
         nonlinear fit even where an effect moves the current by more than the map bends over, as iron loss does in a
         machine whose bridges saturate at small currents.
         """
-        measured, shift = windows.measured, self._shift(self._at(windows))
+        measured, shift = windows.measured, self._shift(self._ends(windows))
         inside = self.model.contains(replace(windows, i_dq=frames.as_pairs(measured + shift)))
         shift = np.where(inside[:, None], shift, 0.0)
         return replace(windows, i_dq=frames.as_pairs(measured + shift), moved=shift, effects=None)
 
-    def _shift(self, at: Linearized) -> ComplexArray:
+    def _shift(self, at: Ends) -> ComplexArray:
         """Return by how much the effects at the estimate move the currents (N, 2) in the map, A."""
         moving = [CATALOGUE[name].shifted(at, value) for name, value in self._present()]
         return np.asarray(sum(moving, np.zeros(at.turn.shape)), np.complex128)

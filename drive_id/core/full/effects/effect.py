@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,15 +39,21 @@ def between(x: ComplexArray) -> ComplexArray:
 
 
 @dataclass(frozen=True, eq=False)
-class Linearized:
-    """N windows and what an estimate says of their ends, about which effects are linearized."""
+class Ends:
+    """N windows, and what moves the currents at their ends."""
 
     windows: Windows
     currents: ComplexArray  # (N, 2), measured in the rotor frame, A
     turn: ComplexArray  # (N, 2), e^{j theta}
+    induced: ComplexArray  # (N, 2), voltage e in the rotor frame, V
+
+
+@dataclass(frozen=True, eq=False)
+class Linearized(Ends):
+    """What an estimate says of these ends, about which effects are linearized."""
+
     psi: ComplexArray  # (N, 2), f, Wb
     tilt: ComplexArray  # (N, 2), change of the stator's flux by an error of the angle, Wb
-    induced: ComplexArray  # (N, 2), voltage e in the rotor frame, V
     through: Callable[[ComplexArray], ComplexArray]  # f'(i) x of x (N, 2)
     mean_flux: Callable[[ComplexArray], ComplexArray]  # f(i), averaged over the rotor position
     dropped: FloatArray  # (K, N), voltage in which each error of the current sensors is read, Vs
@@ -120,7 +127,7 @@ class Reported:
 
 
 @dataclass(frozen=True)
-class DriveEffect:
+class DriveEffect(ABC):
     """An effect that the model lacks: it changes the voltage balance of a window by known vectors times its unknowns.
 
     A subclass gives its columns, or the currents that it adds to that of the map, or errors of the angle, from which
@@ -170,7 +177,7 @@ class DriveEffect:
         """Tell whether its first value is physically possible, with the angle per sample, rad, and the period, s."""
         return not self.positive or value >= 0
 
-    def shifts(self, _: Linearized) -> list[ComplexArray]:
+    def shifts(self, _: Ends) -> list[ComplexArray]:
         """Return the currents (N, 2) that it adds to that of the map, per unit."""
         return []
 
@@ -182,7 +189,7 @@ class DriveEffect:
         """Return the current (N, 1) that stands for the change of a magnet by values (K,) of it, A."""
         return np.zeros((len(at.windows), 1))
 
-    def shifted(self, at: Linearized, value: FloatArray) -> ComplexArray:
+    def shifted(self, at: Ends, value: FloatArray) -> ComplexArray:
         """Return the current (N, 2) that values (K,) of it add to that of the map, A."""
         return np.asarray(sum(shift * x for shift, x in zip(self.shifts(at), value, strict=False)), np.complex128)
 
@@ -195,6 +202,6 @@ class DriveEffect:
         by_current = [between(at.turn * at.through(shift)) for shift in self.shifts(at)]
         return by_current + [between(at.tilt * wave) for wave in self.waves(at)]
 
+    @abstractmethod
     def report(self, found: Reported) -> Iterator[Calibration]:
         """Yield its values with their standard errors."""
-        raise NotImplementedError

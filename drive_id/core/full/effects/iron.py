@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.effects.effect import Calibration, DriveEffect, Linearized, Reported
+from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Reported
 from drive_id.types import TINY
 
 _SLOWEST = 1.0
@@ -31,7 +31,7 @@ class OfIron(DriveEffect):
 class EddyCurrents(OfIron):
     """A conductance parallel to the induced voltage."""
 
-    def shifts(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+    def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
         return [-at.induced]
 
 
@@ -41,7 +41,7 @@ class Hysteresis(OfIron):
 
     price = 1e-3  # where speeds hardly differ, it is iron loss
 
-    def shifts(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+    def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
         speed = np.abs(at.windows.speed)
         return [-at.induced / np.where(speed < _SLOWEST, np.inf, speed)]
 
@@ -50,5 +50,5 @@ class Hysteresis(OfIron):
 class Coercivity(OfIron):
     """A current of constant size along the induced voltage."""
 
-    def shifts(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+    def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
         return [-at.induced / np.maximum(np.abs(at.induced), TINY)]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.effects.effect import Calibration, DriveEffect, Linearized, Recorded, Reported
+from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Recorded, Reported
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class CurrentRotation(OfSensors):
 
     rotates, beside = True, "current_gains"  # sensors that turn the currents have unequal gains as well
 
-    def shifts(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+    def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
         return [-1j * at.currents]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
@@ -60,7 +60,7 @@ class CurrentGains(OfAxes):
 
     harmonic = 2
 
-    def shifts(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+    def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
         mirrored = (at.currents * at.turn).conj() / at.turn
         return [-mirrored, -1j * mirrored]
 
@@ -71,5 +71,5 @@ class CurrentOffset(OfAxes):
 
     harmonic = 1
 
-    def shifts(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+    def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
         return [-at.turn.conj(), -1j * at.turn.conj()]

@@ -49,7 +49,9 @@ CAUSES = {
     "recordings": ("copper_recordings", "magnet_recordings", "resistance_change*", "magnet_flux_change_*"),
     "rotor": ("eccentric_rotor", "rotor_ecc*"),
     "phases": ("phase_resistance", "resistance_[abc]", "resistance_of_phase"),
-    "inverter": ("devices", "wide_curve", "drop_negative", "voltage_error_negative", "misfit.small_currents"),
+    "inverter": (
+        "devices", "drop_asymmetry*", "wide_curve", "drop_negative", "voltage_error_negative", "misfit.small_currents",
+    ),
     "dc": ("dc_link*", "link_*", "voltage_clipped", "misfit", "misfit.small_currents"),
     "timing": (
         "angle_latency", "current_latency", "voltage_delay*", "time_shift", "decimated", "outlier", "single_sample",

@@ -118,6 +118,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
     found, several = fit.selection.search.found, several_speeds(fit.assessment.speeds)
     columns, estimate = found.columns, fit.solution.estimate
     out: list[Calibration] = []
+    drop = float((fit.model.shapes.coarse(np.array([fit.model.i_max])) @ fit.model.coarse_drop(estimate))[0])
     slopes = jacobian(fit.model.flux, estimate[fit.model.map], np.zeros((1, 2)))
     for taken in found.taken:
         if taken.name not in fit.spec.effects:
@@ -135,6 +136,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             resistance=float(estimate[RESISTANCE]),
             inductance=float(slopes[0, 0, 0]),
             i_max=fit.model.i_max,
+            drop=drop,
             pole_pairs=columns.pole_pairs,
             ripple=columns.ripple,
             time_constant=np.inf if columns.winding is None else columns.winding.constant,

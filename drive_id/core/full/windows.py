@@ -84,6 +84,8 @@ class Windows:
     # (N, len(SHIFTS)), T (u_s[end + shift] - u_s[start + shift]): change of the integral per sample of delay, Vs
     shifted: ComplexArray
     shape: FloatArray  # (N, S, 3), integrals of the inverter's shapes of each phase's current, s
+    # (N, L + 1, 3), integrals of the magnitudes of the coarse shapes, s, and last of the phase currents, As
+    rectified: FloatArray
     # (N, L), integrals of the coarse shapes minus those for the current one sample earlier, turned with the rotor, by
     # which a drive compensates the drop, s
     lag: ComplexArray
@@ -378,6 +380,7 @@ class WindowCutter:
         period, grain = self._period, spacing(self._period)
         u_s, i_dq = stretch.u_s, stretch.i_dq
         shape = self._shapes.integrals(stretch.i_abc[::grain], period * grain)
+        rectified = self._rectified(stretch, shape)
         ends = np.stack([begin, end], axis=1)
         slope = i_dq[ends[..., None] + _PAST] @ (_LINE / period)
         now = i_dq[ends[..., None] + _BESIDE] @ _CUBIC
@@ -395,6 +398,7 @@ class WindowCutter:
             duration=period * (end - begin).astype(np.float64),
             shifted=np.stack([period * (u_s[end + shift] - u_s[begin + shift]) for shift in SHIFTS], axis=1),
             shape=shape[end // grain] - shape[begin // grain],
+            rectified=rectified[end // grain] - rectified[begin // grain],
             lag=self._lag(stretch, shape, begin // grain, end // grain),
             crossing=sums.crossing[end] - sums.crossing[begin],
             sensed=sums.sensed[end] - sums.sensed[begin],
@@ -416,6 +420,20 @@ class WindowCutter:
             short=short,
         )
 
+    def _coarse(self, shape: FloatArray) -> FloatArray:
+        """Return those of the coarse shapes (G, L, 3) among the integrals of all (G, S, 3)."""
+        return shape[:, : self._shapes.usual : 2]
+
+    def _rectified(self, stretch: _Stretch, shape: FloatArray) -> FloatArray:
+        """Return the integrals (G, L + 1, 3), see :class:`Windows`, from those of all shapes (G, S, 3).
+
+        Only in a step in which a current changes its sign, one of some hundred, are they too small.
+        """
+        current, grain = stretch.i_abc[:: spacing(self._period)], spacing(self._period)
+        steps = np.concatenate([np.diff(self._coarse(shape), axis=0), np.zeros((len(current) - 1, 1, 3))], axis=1)
+        steps[:, -1] = 0.5 * self._period * grain * (current[1:] + current[:-1])
+        return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(np.abs(steps), axis=0)])
+
     def _lag(self, stretch: _Stretch, shape: FloatArray, begin: IntArray, end: IntArray) -> ComplexArray:
         """Return the integrals (N, L), see :class:`Windows`, from those of all shapes (G, S, 3), ends in grains."""
         grain, angle = spacing(self._period), stretch.angle
@@ -423,7 +441,7 @@ class WindowCutter:
         earlier = np.maximum(places - 1, 0)
         before = stretch.i_s[earlier] * np.exp(1j * (angle[places] - angle[earlier]))
         then = self._shapes.coarse.integrals(frames.phases(before), self._period * grain)
-        now = shape[:, : self._shapes.usual : 2]
+        now = self._coarse(shape)
         return frames.space_vector((now[end] - now[begin]) - (then[end] - then[begin]))
 
 

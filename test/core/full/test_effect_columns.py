@@ -141,6 +141,16 @@ def unequal(x):
     return Drive(resistive=lambda _, i_s: R * i_s + x * frames.space_vector(frames.phases(i_s) * [1.0, 0.0, -1.0]))
 
 
+def lopsided(x):
+    """Let the drop of phase b exceed the usual one by the share x for positive current, and fall below it otherwise."""
+
+    def more(i_s):
+        shape = np.abs(MODEL.shapes(frames.phases(i_s.ravel()))[:, :, 3]) * [0.0, 1.0, 0.0]
+        return HEIGHT * frames.space_vector(shape).reshape(i_s.shape)
+
+    return Drive(resistive=lambda _, i_s: R * i_s + x * more(i_s))
+
+
 def power(t, u_s):
     """Return the power that the machine takes at the middle of the samples that begin at t, W."""
     return 1.5 * (u_s * plain_current(t + 0.5 * PERIOD).conj()).real
@@ -165,6 +175,7 @@ CASES = {
     "dc_link": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 + x * 0.01 * np.cos(LINK_TURN * t))), 0.5),
     "link_sag": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 - x * power(t, u_s))), 1e-6),
     "phase_resistance": (0, unequal, 1e-3),
+    "drop_asymmetry": (1, lopsided, 0.05),
     "voltage_gains": (0, lambda x: Drive(logged=lambda _, u_s: u_s - x * u_s.conj()), 1e-3),
     "voltage_gains, imaginary": (1, lambda x: Drive(logged=lambda _, u_s: u_s - 1j * x * u_s.conj()), 1e-3),
     "current_rotation": (0, lambda x: Drive(measured=lambda t: plain_current(t) * (1 + 1j * x)), 1e-3),

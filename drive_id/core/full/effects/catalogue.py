@@ -6,7 +6,7 @@ from drive_id.core.full.effects.effect import DriveEffect
 from drive_id.core.full.effects.heat import CopperHeating, CopperRecordings, MagnetHeating, MagnetRecordings
 from drive_id.core.full.effects.iron import Coercivity, EddyCurrents, Hysteresis
 from drive_id.core.full.effects.link import DcLink, LinkRipple, LinkSag
-from drive_id.core.full.effects.phases import PhaseResistance, VoltageGains
+from drive_id.core.full.effects.phases import DropAsymmetry, PhaseResistance, VoltageGains
 from drive_id.core.full.effects.resolver import Eccentricity, EccentricRotor, ResolverOrder
 from drive_id.core.full.effects.sensors import CurrentGains, CurrentOffset, CurrentRotation
 from drive_id.core.full.effects.timing import CurrentLatency, FluxLag, Latency, LongFluxLag
@@ -34,6 +34,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         LinkRipple("link_ripple"),
         LinkSag("link_sag"),
         PhaseResistance("phase_resistance"),
+        DropAsymmetry("drop_asymmetry"),
         VoltageGains("voltage_gains"),
         CurrentRotation("current_rotation", "rad", slice(0, 1)),
         CurrentGains("current_gains", "1", slice(1, 3), "current_gain_mismatch"),

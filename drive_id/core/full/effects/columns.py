@@ -80,7 +80,7 @@ class EffectColumns:
         psi, by_angle = self._flux(i_dq, windows.angle)
         image, unit = windows.current.conj(), windows.duration.astype(np.complex128)
         read = np.stack([1j * windows.current, image, 1j * image, unit, 1j * unit])
-        heat = windows.heat / max(self.heat, 1e-12)
+        heat, drop = windows.heat / max(self.heat, 1e-12), self.model.coarse_drop(self.estimate)
         return Linearized(
             **vars(ends),
             psi=psi,
@@ -88,7 +88,8 @@ class EffectColumns:
             through=through,
             mean_flux=self._mean_flux,
             dropped=float(self.estimate[RESISTANCE]) * read
-            + windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, self.model.coarse_drop(self.estimate)),
+            + windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, drop),
+            rectified=windows.drop_scale[:, None] * np.einsum("nlp,l->np", windows.rectified[:, :-1], drop),
             heat=heat,
             warmth=heat if self.winding is None else self.winding(windows),
             link=self.link,

@@ -57,6 +57,7 @@ class Linearized(Ends):
     through: Callable[[ComplexArray], ComplexArray]  # f'(i) x of x (N, 2)
     mean_flux: Callable[[ComplexArray], ComplexArray]  # f(i), averaged over the rotor position
     dropped: FloatArray  # (K, N), voltage in which each error of the current sensors is read, Vs
+    rectified: FloatArray  # (N, 3), integral of the magnitude of the drop of each phase, Vs
     heat: FloatArray  # (N,), relative to the largest within a recording
     warmth: FloatArray  # (N,), rise of the winding's temperature, likewise
     link: float  # mean DC-link voltage, V; NaN where it is not known
@@ -104,6 +105,7 @@ class Reported:
     resistance: float  # ohm
     inductance: float  # d psi_d / d i_d at zero current, H
     i_max: float
+    drop: float  # of the inverter, mean of the phases at i_max, V
     pole_pairs: int | None
     ripple: float  # Hz
     time_constant: float  # of the winding's heat, s; infinite where it stays

@@ -1,4 +1,4 @@
-"""Phases that differ: their resistances, and the gains of their voltages."""
+"""Phases that differ: their resistances, the devices of their half-bridges, and the gains of their voltages."""
 
 from __future__ import annotations
 
@@ -26,6 +26,26 @@ class PhaseResistance(DriveEffect):
         values, sigmas = (*found.value, -found.value.sum()), (*found.sigma, np.hypot(*found.sigma))
         for phase, (x, dx) in enumerate(zip(values, sigmas, strict=True)):
             yield found.entry(f"resistance_{'abc'[phase]}", x, dx, "ohm", "resistance_of_phase", phase=phase)
+
+
+@dataclass(frozen=True)
+class DropAsymmetry(DriveEffect):
+    """By how much the drop of each phase is larger for positive, and smaller for negative current.
+
+    Upper and lower devices of a half-bridge differ in their thresholds, of ``int abs(drop(i_a))`` and so on, and in
+    their resistances, ohm, of ``int abs(i_a)``.
+    """
+
+    width = 6
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        axes = 2 / 3 * np.exp(1j * frames.PHASE_SHIFTS)
+        return [*(at.rectified * axes).T, *(at.windows.rectified[:, -1] * axes).T]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        forms = np.concatenate([found.drop * np.eye(3), found.i_max * np.eye(3)])  # at i_max
+        for phase, (x, dx) in enumerate(zip(found.value @ forms, found.sigma_of(forms), strict=True)):
+            yield found.entry(f"drop_asymmetry_{'abc'[phase]}", x, dx, "V", self.name, phase=phase)
 
 
 @dataclass(frozen=True)

@@ -258,7 +258,7 @@ def brightness(colour: str) -> float:
 
 def test_in_print_pictures_stand_for_the_charts(opened):
     shown = "return [...document.querySelectorAll(arguments[0])].filter((e) => e.offsetParent !== null).length"
-    assert opened.execute_script(shown, ".chart") == 7
+    assert opened.execute_script(shown, ".chart") == 8
     assert opened.execute_script(shown, ".picture") == 0
     element(opened, "theme").click()
     opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})

@@ -96,8 +96,9 @@ function drawTrend(points, label, describe, tick) {
     if (series.length > 1) svg.append(made("text", { x: width - 8 - 70 * (series.length - 1 - n), y: 15, "text-anchor": "end", style: `fill: ${stroke}` }, name));
   });
   for (const value of [low, (low + high) / 2, high]) svg.append(made("text", { x: left - 4, y: y(value) + 4, "text-anchor": "end" }, shown(value, 5)));
-  for (const value of last > first ? [first, (first + last) / 2, last] : [first]) {
-    svg.append(made("path", { class: "frame", d: `M${x(value)} ${height - bottom}v5` }), made("text", { x: x(value), y: height - 10, "text-anchor": "middle" }, tick(value)));
+  const ticks = last > first ? [first, (first + last) / 2, last] : [first];
+  for (const [n, value] of ticks.entries()) {
+    svg.append(made("path", { class: "frame", d: `M${x(value)} ${height - bottom}v5` }), made("text", { x: x(value), y: height - 10, "text-anchor": n === 2 ? "end" : n || ticks.length < 2 ? "middle" : "start" }, tick(value)));
   }
   return svg;
 }

@@ -114,7 +114,7 @@
   setInterval(() => {
     const age = Date.now() - heard;
     const said = !connected ? "The server does not answer; this page shows what it knew last."
-      : age > SILENT ? `No news for ${Math.round(age / 1000)} s.` : finished() ? "Finished: the result of the requested fit stands here." : state.nodes || state.drive ? "Following the drive." : "Connected; nothing is heard of a drive yet.";
+      : finished() ? "Finished: the result of the requested fit stands here." : age > SILENT ? `No news for ${Math.round(age / 1000)} s.` : state.nodes || state.drive ? "Following the drive." : "Connected; nothing is heard of a drive yet.";
     if (byId("link").textContent !== said) byId("link").textContent = said;
     if (state.map?.provisional) byId("psi").lastElementChild.textContent = provisional();
   }, 500);

@@ -63,11 +63,13 @@
 
   const probed = () => ["probe-d", "probe-q"].map((id) => byId(id).valueAsNumber);
 
-  /** A cross at the probed current. */
-  function mark() {
+  /** A cross at the probed current, on each of some planes. */
+  function mark(planes = 1) {
     const [x, y] = probed();
     const known = Number.isFinite(x) && Number.isFinite(y);
-    return known ? [{ x, y, text: "✛", showarrow: false, font: { size: 18, color: "#ff5a36" } }] : [];
+    return (known ? ["", "2"].slice(0, planes) : []).map((n) => ({
+      x, y, xref: `x${n}`, yref: `y${n}`, text: "✛", showarrow: false, font: { size: 18, color: "#ff5a36" },
+    }));
   }
 
   /** What lies beyond the circle of i_max, in the colour of the page: the grid ends there in steps. */
@@ -246,7 +248,7 @@
     if (byId("map-view").value === "surface") return drawSurfaces(parts, place);
     const { i_d, i_q, trajectory } = data.map;
     const [continued, traced, reach] = [byId("map-continuation").checked, byId("map-trajectory").checked, 1.05 * data.i_max];
-    const found = layout({ margin: { l: 60, r: 20, t: 70, b: 50 }, shapes: [], annotations: mark(), legend: { orientation: "h", x: 0, y: 1.06, yanchor: "bottom" } });
+    const found = layout({ margin: { l: 60, r: 20, t: 70, b: 50 }, shapes: [], annotations: mark(parts.length), legend: { orientation: "h", x: 0, y: 1.06, yanchor: "bottom" } });
     const traces = parts.flatMap((part, n) => {
       const [suffix, at] = [n ? "2" : "", place(n)];
       const axes = { xaxis: `x${suffix}`, yaxis: `y${suffix}` };
@@ -333,7 +335,7 @@
     const [d, q] = probed();
     for (const name of PLANES) {
       const chart = byId(`chart-${name}`);
-      if (chart?.layout?.xaxis) Plotly.relayout(chart, { annotations: [...mark(), ...(chart.layout.annotations ?? []).filter((note) => note.text !== "✛")] });
+      if (chart?.layout?.xaxis) Plotly.relayout(chart, { annotations: [...mark(chart.layout.xaxis2 ? 2 : 1), ...(chart.layout.annotations ?? []).filter((note) => note.text !== "✛")] });
     }
     if (byId("chart-slices")?.data) drawSlices();
     const shown = (number, digits) => number.toPrecision(digits).replace("-", "\u2212");

@@ -87,7 +87,7 @@ def _picture(found: Verification, i_max: float) -> Figure:
         panel.add_patch(Circle((0, 0), i_max, fill=False, linewidth=0.8))
         panel.set(xlim=(-1.05 * i_max, 1.05 * i_max), ylim=(-1.05 * i_max, 1.05 * i_max))
         name_currents(panel, f"{PSI[axis]}, % of the largest flux")
-        beyond = {(False, False): "neither", (True, False): "min", (False, True): "max", (True, True): "both"}
-        drawn.cmap.colorbar_extend = beyond[bool((colours < -_WIDEST).any()), bool((colours > _WIDEST).any())]
-        add_colour_bar(panel, drawn, levels(-_WIDEST, _WIDEST, 8))
+        below, above = bool((colours < -_WIDEST).any()), bool((colours > _WIDEST).any())
+        extend = "both" if below and above else "min" if below else "max" if above else "neither"
+        add_colour_bar(panel, drawn, levels(-_WIDEST, _WIDEST, 8), extend=extend)
     return figure

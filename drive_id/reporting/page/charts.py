@@ -58,11 +58,8 @@ def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
         if np.isfinite(sigma[found.inside]).any():
             part = (f"sigma_{c}", f"σ of ψ_{c}", "Wb", sigma[at], None)
             pairs["Standard errors of ψ_d and ψ_q"].append(part)
-    for heading, elements in (("Incremental L_dd and L_qq", "dd qq"), ("Incremental L_dq and L_qd", "dq qd")):
-        pairs[heading] = [
-            (f"L_{a}{b}", f"L_{a}{b} = ∂ψ_{a}/∂i_{b}", "H", inductances[..., n, m], errors[..., n, m])
-            for a, b in elements.split() for n, m in [("dq".index(a), "dq".index(b))]
-        ]  # fmt: skip
+    for heading, elements in (("Incremental L_dd and L_qq", ("dd", "qq")), ("Incremental L_dq and L_qd", ("dq", "qd"))):
+        pairs[heading] = [_inductance(element, inductances, errors) for element in elements]
     ratio = inductances[..., 1, 1] / inductances[..., 0, 0]
     pairs["Saliency L_qq / L_dd"] = [("saliency", "L_qq / L_dd", "", ratio, None)]
     for h in result.harmonics:
@@ -74,7 +71,8 @@ def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
     if operation is not None:
         if operation.ripple is not None:
             pairs["Torque ripple, peak to peak"] = [("ripple", "ripple", "Nm", operation.ripple[at], None)]
-        pairs["Torque"] = [("torque", "torque", "Nm", *(x[at] for x in _torque(result, found)))]
+        torque, sigma = _torque(result, found)
+        pairs["Torque"] = [("torque", "torque", "Nm", torque[at], sigma[at])]
     pairs = {heading: parts for heading, parts in pairs.items() if parts}
     quantities = [quantity for parts in pairs.values() for quantity in _quantities(parts, known)]
     trajectory = result.diagnostics.trajectory if result.diagnostics else np.zeros((0, 2))
@@ -87,6 +85,13 @@ def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
         "views": [{"label": heading, "parts": [part[0] for part in parts]} for heading, parts in pairs.items()],
         "trajectory": {"i_d": _listed(trajectory[:, 0]), "i_q": _listed(trajectory[:, 1])},
     }
+
+
+def _inductance(element: str, values: FloatArray, errors: FloatArray) -> _Part:
+    """Return an element of the incremental inductances (..., 2, 2), such as ``dq``."""
+    flux, current = element[0], element[1]
+    at = np.s_[..., "dq".index(flux), "dq".index(current)]
+    return f"L_{element}", f"L_{element} = ∂ψ_{flux}/∂i_{current}", "H", values[at], errors[at]
 
 
 def _sigma_inductances(result: Result) -> FloatArray:

@@ -228,7 +228,7 @@
       const level = perWb * data.limit.voltage / (speed * Math.PI / 30 * data.limit.pole_pairs);
       return {
         type: "contour", x: data.map.i_d, y: data.map.i_q, z, showscale: false, hoverinfo: "skip", ...axes,
-        contours: { coloring: "none", start: level, end: level, size: 1 }, name: `voltage limit at ${speed} rpm`, showlegend: first,
+        contours: { coloring: "none", start: level, end: level, size: 1 }, name: `limit at ${speed} rpm`, showlegend: first,
         line: { color: colour("text"), width: 2, dash: ["dash", "dot", "dashdot"][n % 3] }, colorscale: [[0, colour("text")], [1, colour("text")]],
       };
     });

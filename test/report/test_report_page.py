@@ -187,7 +187,8 @@ def test_the_map_has_its_axes_in_order(fitted, page):
     assert quantities["psi_d"]["z"][k][j] == pytest.approx(1e3 * psi_d, rel=1e-3)
     assert quantities["psi_q"]["z"][k][j] == pytest.approx(1e3 * psi_q, rel=1e-3)
     assert quantities["psi_d"]["sigma"][k][j] == pytest.approx(1e3 * found.sigma(i_d, i_q)[0], rel=0.02)
-    assert quantities["sigma_q"]["z"][k][j] == pytest.approx(1e6 * found.sigma(i_d, i_q)[1], rel=0.02)
+    factor = {"mWb": 1e3, "µWb": 1e6}[quantities["sigma_q"]["unit"]]
+    assert quantities["sigma_q"]["z"][k][j] == pytest.approx(factor * found.sigma(i_d, i_q)[1], rel=0.02)
     step = 1e-2
     for name, flux, current in (("L_dq", 0, (0, step)), ("L_qd", 1, (step, 0)), ("L_dd", 0, (step, 0))):
         after, before = (found.psi_dq(i_d + s * current[0], i_q + s * current[1])[flux] for s in (1, -1))
@@ -506,3 +507,22 @@ def test_the_drop_is_told_as_a_dead_time(fitted):
     without = page_of(replace(result, provenance=replace(result.provenance, u_dc=None)))
     assert "dead time" not in without.by_id("inverter").text()
     assert "efficiency over speed are not shown" in without.by_id("operation").text()
+
+
+def test_what_samples_only_enclose_is_shown_with_its_standard_error(fitted):
+    """A hole around zero current, in whose place the joint errors are known."""
+    found, modes = fitted.flux_map, fitted.drive.error_modes
+    hole = found.inside & (np.hypot(found.i_d[:, None], found.i_q) < 40.0)
+    drive = replace(fitted.drive, flux_map=replace(found, inside=found.inside & ~hole))
+    holed = replace(fitted, drive=drive, stored=fitted.diagnostics)
+    operation = torque_map(holed)
+    drawn = charts_of(holed, operation)["map"]
+    quantities = {entry["name"]: entry for entry in drawn["quantities"]}
+    n, m = (int(at[0]) for at in np.nonzero(hole))
+    assert (drawn["inside"][m][n], drawn["known"][m][n]) == (0, 1)
+    factor = {"mWb": 1e3, "Wb": 1.0}[quantities["psi_d"]["unit"]]
+    assert quantities["psi_d"]["sigma"][m][n] == pytest.approx(factor * np.linalg.norm(modes.psi_d[:, n, m]), rel=1e-3)
+    assert quantities["L_dd"]["sigma"][m][n] > 0
+    assert len(operation.lines["MTPA"]) == len(torque_map(fitted).lines["MTPA"])
+    without = replace(holed, drive=replace(drive, error_modes=None))
+    assert charts_of(without, None)["map"]["known"][m][n] == 0

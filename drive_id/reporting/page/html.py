@@ -7,10 +7,10 @@ import gzip
 import re
 from collections.abc import Mapping
 from functools import cache
+from html import escape
 from typing import Any
 
 import jinja2
-from markupsafe import Markup, escape
 
 from drive_id.reporting.page.content import SECTIONS, Content
 from drive_id.version import VERSION
@@ -34,9 +34,9 @@ def rendered_page(content: Content, charts: Mapping[str, Any], pictures: Mapping
     )
 
 
-def with_subscripts(text: object) -> Markup:
+def with_subscripts(text: object) -> str:
     """Return text as markup, the indices of the field's symbols lowered."""
-    return Markup(_SYMBOL.sub(r"\1<sub>\2</sub>", str(escape(text))))  # escaped just there
+    return _SYMBOL.sub(r"\1<sub>\2</sub>", escape(str(text)))
 
 
 def filled(template: str, **values: Any) -> str:

@@ -30,7 +30,7 @@ FITS = (0.3, 0.45, 0.65)
 """Share of the experiment after which the drive is fitted in the background; the last one is on the page."""
 EVERY = 50
 """Samples between two points of the trajectory."""
-REPORT, LIVE = (1400, 1400), (1200, 900)
+REPORT, LIVE = (1400, 1700), (1200, 900)
 """Widths and heights of the pages, pixels."""
 
 

@@ -252,7 +252,7 @@
     const traces = parts.flatMap((part, n) => {
       const [suffix, at] = [n ? "2" : "", place(n)];
       const axes = { xaxis: `x${suffix}`, yaxis: `y${suffix}` };
-      const bar = { ...colourBar(part.unit), x: at.x[1] + 0.005, y: (at.y[0] + at.y[1]) / 2, len: at.y[1] - at.y[0] };
+      const bar = { ...colourBar(part.unit), title: { text: part.unit, side: "top" }, x: at.x[1] + 0.005, y: (at.y[0] + at.y[1]) / 2, len: at.y[1] - at.y[0] };
       found[`xaxis${suffix}`] = axis(currentAxis("d"), { range: [-reach, reach], constrain: "domain", domain: at.x, anchor: axes.yaxis });
       found[`yaxis${suffix}`] = axis(currentAxis("q"), { range: [-reach, reach], scaleanchor: axes.xaxis, constrain: "domain", domain: at.y, anchor: axes.xaxis });
       found.shapes.push(...(continued || traced ? [] : [{ ...beyond(), xref: axes.xaxis, yref: axes.yaxis }]), ...[0.25, 0.5, 0.75, 1].map((share) => circle(share, axes)));
@@ -290,7 +290,7 @@
         domain: at, xaxis: axis(currentAxis("d"), { color: colour("text") }), yaxis: axis(currentAxis("q"), { color: colour("text") }),
         zaxis: axis(`${markup(part.label.split(" = ")[0])} / ${part.unit}`, { color: colour("text") }),
         aspectmode: "manual", aspectratio: { x: 1, y: 1, z: 0.75 },
-        camera: { eye: { x: 1.7 * Math.cos(turn), y: 1.7 * Math.sin(turn), z: 0.9 }, center: { x: 0, y: 0, z: -0.16 } },
+        camera: { eye: { x: 2 * Math.cos(turn), y: 2 * Math.sin(turn), z: 1.05 }, center: { x: 0, y: 0, z: -0.16 } },
       };
       const edged = smoothEdged(part.z);
       const own = [surface(edged.z, { x: edged.x, y: edged.y, contours: { z: { show: true, color: colour("text"), width: 1 } } })];

@@ -248,7 +248,7 @@
     if (byId("map-view").value === "surface") return drawSurfaces(parts, place);
     const { i_d, i_q, trajectory } = data.map;
     const [continued, traced, reach] = [byId("map-continuation").checked, byId("map-trajectory").checked, 1.05 * data.i_max];
-    const found = layout({ margin: { l: 60, r: 20, t: 70, b: 50 }, shapes: [], annotations: mark(parts.length), legend: { orientation: "h", x: 0, y: 1.06, yanchor: "bottom" } });
+    const found = layout({ margin: { l: 60, r: 20, t: 100, b: 50 }, shapes: [], annotations: mark(parts.length), legend: { orientation: "h", x: 0, y: 1.06, yanchor: "bottom" } });
     const traces = parts.flatMap((part, n) => {
       const [suffix, at] = [n ? "2" : "", place(n)];
       const axes = { xaxis: `x${suffix}`, yaxis: `y${suffix}` };

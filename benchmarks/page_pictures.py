@@ -30,7 +30,7 @@ FITS = (0.3, 0.45, 0.65)
 """Share of the experiment after which the drive is fitted in the background; the last one is on the page."""
 EVERY = 50
 """Samples between two points of the trajectory."""
-REPORT, LIVE = (1000, 1100), (1200, 780)
+REPORT, LIVE = (1400, 1700), (1200, 900)
 """Widths and heights of the pages, pixels."""
 
 
@@ -113,10 +113,12 @@ def main() -> None:
         drive_id.fit(samples).save(folder / "ipm", report=True)
         (folder / "feed").write_text("".join(lines(samples)), encoding="utf-8")
         try:
-            drawn = "document.querySelectorAll('.plotly canvas, .js-plotly-plot canvas').length > 0"
+            drawn = "document.documentElement.dataset.drawn === 'true'"
             take(browser, (folder / "ipm" / "report.html").as_uri(), REPORT, drawn, target / "report.png")
             with served(folder, folder / "feed") as address:
-                heard = "document.documentElement.dataset.points > 0 && byId('link').textContent === 'Live.'"
+                heard = (
+                    "document.documentElement.dataset.points > 0 && byId('link').textContent === 'Following the drive.'"
+                )
                 take(browser, f"{address}/live", LIVE, heard, target / "live.png")
         finally:
             browser.quit()

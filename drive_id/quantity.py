@@ -92,6 +92,14 @@ def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
     return f"{text} {unit}".rstrip().replace("-", "\N{MINUS SIGN}")
 
 
+def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
+    """Return the factor from an SI unit to that in which values of this size are read, and that unit."""
+    if unit not in _PREFIXED or not largest > 0:
+        return 1.0, unit
+    exponent = min(max(3 * (_order(largest, _DIGITS) // 3), min(_PREFIXES)), 0)
+    return 10.0**-exponent, _PREFIXES[exponent] + unit
+
+
 def plain(value: Any, digits: int = 0) -> Any:
     """Return a value for JSON: arrays as lists, numbers to some significant digits, null where they are not finite."""
     if isinstance(value, Mapping):

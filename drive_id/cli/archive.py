@@ -29,7 +29,8 @@ def index_results(
     archive = None if compared else Archive(folders[0])
     check_page_output(path)
     found = entries_of(folders, path.parent) if archive is None else archive.entries(path.parent)
-    title = "Results compared" if compared else f"Results in {folders[0].resolve().name}"
+    names = ", ".join(folder.resolve().name for folder in folders[:3]) + (" …" if len(folders) > 3 else "")
+    title = f"Results compared: {names}" if compared else f"Results in {'/'.join(folders[0].resolve().parts[-2:])}"
     write_page(path, archive_page(found, title, ticked=len(found) if compared else 0))
     if as_json:
         console.print_json({"page": str(path), "results": [str(entry.folder) for entry in found]})

@@ -242,11 +242,12 @@ def levels(low: float, high: float, count: int) -> FloatArray:
 
 
 def add_colour_bar(
-    axes: Axes, filled: ContourSet | QuadMesh | PathCollection, ticks: FloatArray, labels: Sequence[str] | None = None
-) -> None:
-    """Put a colour bar beside axes, as tall as they are whatever their aspect makes of them."""
+    axes: Axes, filled: ContourSet | QuadMesh | PathCollection, ticks: FloatArray, labels: Sequence[str] | None = None,
+    *, extend: str | None = None,
+) -> None:  # fmt: skip
+    """Put a colour bar beside axes, as tall as they are, with arrows for what lies beyond the ends to ``extend``."""
     beside = axes.inset_axes((1.04, 0.0, 0.045, 1.0))
-    bar = axes.figure.colorbar(filled, cax=beside, ticks=ticks)
+    bar = axes.figure.colorbar(filled, cax=beside, ticks=ticks, extend=extend)
     if labels is not None:
         bar.set_ticks(ticks.tolist(), labels=labels)
     bar.outline.set_linewidth(0.6)

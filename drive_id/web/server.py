@@ -157,7 +157,7 @@ def application(
         Of the live page. Default: it listens to ROS.
     """
     archive = Archive(root)
-    title = f"Results in {root.resolve().name}"
+    title = f"Results in {'/'.join(root.resolve().parts[-2:])}"
     command = [sys.executable, "-m", "drive_id.nodes.live_feed"]
     command += ["--ros-args", "-r", f"__ns:=/{namespace.strip('/')}"] if namespace else []
     feed = feed or Feed(command)
@@ -182,7 +182,7 @@ def application(
         return FileResponse(path, headers=_HEADERS)
 
     async def page(_: Request) -> Response:
-        return HTMLResponse(rendered("live.html", title=f"Live: {namespace or 'drive'}"), headers=_HEADERS)
+        return HTMLResponse(rendered("live.html", title=f"Experiment on {namespace or 'the drive'}"), headers=_HEADERS)
 
     async def events(_: Request) -> Response:
         return StreamingResponse(feed.news(), media_type="text/event-stream", headers=_HEADERS)

@@ -87,7 +87,7 @@ def test_command(result, other, tmp_path):
     passed = CliRunner().invoke(app, [*call, "--output", str(page)])
     assert passed.exit_code == 0, passed.output
     text = page.read_text()
-    assert "Passed: all figures" in text
+    assert "PASSED</strong> all figures" in text
     assert "sha256" in text
     (tmp_path / "limits.yaml").write_text("flux: 0.001\ntorque: 2\n")
     failed = CliRunner().invoke(app, [*call, "--golden", str(tmp_path / "limits.yaml"), "--json"])

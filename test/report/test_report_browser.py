@@ -86,7 +86,7 @@ def test_it_opens_at_once(opened):
     assert paint < 2000
     assert opened.title == "Identified drive: <ipm> & co"
     assert WARNING in element(opened, "warnings").text
-    assert opened.execute_script("return document.querySelectorAll('.js-plotly-plot').length") == 7
+    assert opened.execute_script("return document.querySelectorAll('.js-plotly-plot').length") == 8
 
 
 def from_above(browser):
@@ -121,9 +121,13 @@ def test_every_control_changes_what_it_controls(opened, result):
         before = state(opened, "map")
         element(opened, name).click()
         after = changed(opened, "map", before, name)
-        assert int(after.split()[0]) == int(before.split()[0]) + 1, name
+        assert int(after.split()[0]) == int(before.split()[0]) + 2, name  # in both maps
         element(opened, name).click()
         assert changed(opened, "map", after, name) == before
+    used.add("map-speeds")
+    before = state(opened, "map")
+    element(opened, "map-speeds").send_keys(", 700\ue007")
+    assert int(changed(opened, "map", before, "speeds").split()[0]) == int(before.split()[0]) + 2
     as_surface(opened)
     used.add("map-turn")
     eye = "return document.getElementById('chart-map').layout.scene.camera.eye.x"
@@ -136,6 +140,7 @@ def test_every_control_changes_what_it_controls(opened, result):
         element(opened, name).send_keys(value)
     said = element(opened, "probe").text
     psi_d = 1e3 * float(result.flux_map.psi_dq(-101.5, 57.0)[0])
+    assert said.startswith("ψd = ")
     assert float(said.split("=")[1].split("±")[0]) == pytest.approx(psi_d, rel=1e-3), said
     fields = opened.find_elements("css selector", "select, input")
     assert used == {field.get_attribute("id") for field in fields}
@@ -176,7 +181,7 @@ def test_the_surface_has_its_axes_in_order(opened, result):
 
 def test_the_surface_has_a_smooth_edge(opened, result):
     """Nodes move by at most a cell, never amid the data, and the surface reaches beyond the nodes with data."""
-    choose(opened, "map-quantity", "psi_d")
+    choose(opened, "map-quantity", "Flux linkages ψ_d and ψ_q")
     as_surface(opened)
     get = "const trace = document.getElementById('chart-map').data[0]; return [trace.x, trace.y, trace.z]"
     x, y, z = (np.array(values, float) for values in opened.execute_script(get))
@@ -253,7 +258,7 @@ def brightness(colour: str) -> float:
 
 def test_in_print_pictures_stand_for_the_charts(opened):
     shown = "return [...document.querySelectorAll(arguments[0])].filter((e) => e.offsetParent !== null).length"
-    assert opened.execute_script(shown, ".chart") == 7
+    assert opened.execute_script(shown, ".chart") == 8
     assert opened.execute_script(shown, ".picture") == 0
     element(opened, "theme").click()
     opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})

@@ -187,11 +187,13 @@ def test_the_map_has_its_axes_in_order(fitted, page):
     assert quantities["psi_d"]["z"][k][j] == pytest.approx(1e3 * psi_d, rel=1e-3)
     assert quantities["psi_q"]["z"][k][j] == pytest.approx(1e3 * psi_q, rel=1e-3)
     assert quantities["psi_d"]["sigma"][k][j] == pytest.approx(1e3 * found.sigma(i_d, i_q)[0], rel=0.02)
-    assert quantities["sigma_q"]["z"][k][j] == pytest.approx(1e6 * found.sigma(i_d, i_q)[1], rel=0.02)
+    factor = {"mWb": 1e3, "µWb": 1e6}[quantities["sigma_q"]["unit"]]
+    assert quantities["sigma_q"]["z"][k][j] == pytest.approx(factor * found.sigma(i_d, i_q)[1], rel=0.02)
     step = 1e-2
     for name, flux, current in (("L_dq", 0, (0, step)), ("L_qd", 1, (step, 0)), ("L_dd", 0, (step, 0))):
         after, before = (found.psi_dq(i_d + s * current[0], i_q + s * current[1])[flux] for s in (1, -1))
-        assert quantities[name]["z"][k][j] == pytest.approx(1e3 * (after - before) / (2 * step), rel=2e-2), name
+        factor = {"mH": 1e3, "µH": 1e6}[quantities[name]["unit"]]
+        assert quantities[name]["z"][k][j] == pytest.approx(factor * (after - before) / (2 * step), rel=2e-2), name
     torque = 1.5 * 4 * (psi_d * i_q - psi_q * i_d)
     assert quantities["torque"]["z"][k][j] == pytest.approx(torque, rel=1e-2)
     unlike = [quantities[name]["z"][j][k] for name in ("psi_d", "psi_q", "torque")]
@@ -248,7 +250,8 @@ def test_an_imported_map_has_a_report(page_of_import):
         assert "no recording to compare" in page.by_id(name).text(), name
     assert "pole pairs is unknown" in page.by_id("operation").text()
     assert "no curve of an inverter" in page.by_id("inverter").text()
-    assert "unknown" not in page.by_id("glance").text()
+    (answer,) = (found for found in page.all("ul") if found.attributes.get("aria-label") == "What is asked for first")
+    assert "unknown" not in answer.text()
     assert "nan" not in re.sub(r"[^a-z ]", " ", page.by_id("main").text().lower()).split()
     charts = page.data("charts")
     assert charts["inverter"] is charts["residuals"] is charts["currents"] is charts["operation"] is None
@@ -256,9 +259,9 @@ def test_an_imported_map_has_a_report(page_of_import):
         "psi_d",
         "psi_q",
         "L_dd",
+        "L_qq",
         "L_dq",
         "L_qd",
-        "L_qq",
         "saliency",
     ]
     assert charts["map"]["quantities"][0]["sigma"] is None
@@ -343,13 +346,15 @@ def test_the_answer_stands_first_with_its_names(fitted, operation):
     named = replace(fitted.provenance.settings, serial="SN 7", operator="A. N. Other", notes="<cold>")
     page = page_of(replace(fitted, provenance=replace(fitted.provenance, settings=named)), operation)
     assert page.all("title")[0].text() == "Identified drive: ipm, serial SN 7"
-    tiles = [[part.text() for part in list(tile.all("span"))[:2]] for tile in page.by_id("glance").all("li")]
-    answer = [[quantity.name, str(quantity)] for quantity in fitted.headline]
-    assert tiles[: len(answer)] == answer
-    assert {"ψ_PM", "L_d at zero current", "R", "Inverter drop", "Torque at i_max, MTPA"} <= {
-        tile[0] for tile in answer
-    }
-    rows = [tuple(cell.text() for cell in row.children) for row in list(page.by_id("map").all("tr"))[1:]]
+    (tiles,) = (found for found in page.all("ul") if found.attributes.get("aria-label") == "What is asked for first")
+    assert [[part.text() for part in list(tile.all("span"))[:3]] for tile in tiles.all("li")] == [
+        [quantity.name.replace("_", ""), *str(quantity).replace("± ", "|± ").split(" |")]
+        for name in ("ψ_PM", "L_d at zero current", "L_q at zero current", "R", "Torque at i_max, MTPA")
+        for quantity in fitted.headline
+        if quantity.name == name
+    ]
+    answer = [[quantity.name.replace("_", ""), str(quantity)] for quantity in fitted.headline]
+    rows = [tuple(cell.text() for cell in row.children) for row in list(page.by_id("glance").all("tr"))[1:]]
     assert rows[:4] == [("Machine", "ipm"), ("Serial number", "SN 7"), ("Operator", "A. N. Other"), ("Notes", "<cold>")]
     assert [list(row) for row in rows[4 : 4 + len(answer)]] == answer
 
@@ -379,7 +384,8 @@ def test_the_levels_follow_the_figures(fitted, operation):
     report = replace(fitted.drive.report, coverage=0.5, mad_d=0.05 * fitted.i_max)
     changed = replace(fitted, drive=replace(fitted.drive, report=report), stored=fitted.diagnostics)
     page = page_of(changed, operation)
-    cards = {item.children[0].text(): item for item in page.by_id("glance").all("li")}
+    (band,) = (found for found in page.all("ul") if found.attributes.get("aria-label") == "Quality")
+    cards = {item.text().split(" 5")[0]: item for item in band.all("li")}
     assert cards["Disc covered"].attributes["class"] == "weak"
     assert "50 %" in cards["Disc covered"].text()
     assert cards["Simulated current"].attributes["class"] == "weak"
@@ -501,3 +507,22 @@ def test_the_drop_is_told_as_a_dead_time(fitted):
     without = page_of(replace(result, provenance=replace(result.provenance, u_dc=None)))
     assert "dead time" not in without.by_id("inverter").text()
     assert "efficiency over speed are not shown" in without.by_id("operation").text()
+
+
+def test_what_samples_only_enclose_is_shown_with_its_standard_error(fitted):
+    """A hole around zero current, in whose place the joint errors are known."""
+    found, modes = fitted.flux_map, fitted.drive.error_modes
+    hole = found.inside & (np.hypot(found.i_d[:, None], found.i_q) < 40.0)
+    drive = replace(fitted.drive, flux_map=replace(found, inside=found.inside & ~hole))
+    holed = replace(fitted, drive=drive, stored=fitted.diagnostics)
+    operation = torque_map(holed)
+    drawn = charts_of(holed, operation)["map"]
+    quantities = {entry["name"]: entry for entry in drawn["quantities"]}
+    n, m = (int(at[0]) for at in np.nonzero(hole))
+    assert (drawn["inside"][m][n], drawn["known"][m][n]) == (0, 1)
+    factor = {"mWb": 1e3, "Wb": 1.0}[quantities["psi_d"]["unit"]]
+    assert quantities["psi_d"]["sigma"][m][n] == pytest.approx(factor * np.linalg.norm(modes.psi_d[:, n, m]), rel=1e-3)
+    assert quantities["L_dd"]["sigma"][m][n] > 0
+    assert len(operation.lines["MTPA"]) == len(torque_map(fitted).lines["MTPA"])
+    without = replace(holed, drive=replace(drive, error_modes=None))
+    assert charts_of(without, None)["map"]["known"][m][n] == 0

@@ -194,7 +194,7 @@ def live(fitted, results, tmp_path):
 def test_the_live_page_follows_an_experiment(browser, live):
     browser.get(f"{live.url}/live")
     wait_for(browser, "return document.documentElement.dataset.points === '300'")
-    wait_for(browser, "return document.getElementById('link').textContent === 'Live.'")
+    wait_for(browser, "return document.getElementById('link').textContent === 'Following the drive.'")
     assert "running" in element(browser, "publisher").text
     assert "3 of 10 s" in element(browser, "publisher").text
     assert "400 V" in element(browser, "drive").text

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.maps.coverage import Visits, disc_coverage
+from drive_id.core.maps.coverage import FLUX_CELLS, Visits, disc_coverage
 from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline
 from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.numerics.bspline import Axis
@@ -294,10 +294,11 @@ class Evidence:
         """Tell where on the grid of the visits data support a map of this resolution."""
         if not ORIGINS[self.settings.method].windows:
             return self.visits.inside(self.d.width, self.q.width)
-        from drive_id.core.full.resolution import FLUX_CELLS  # noqa: PLC0415  # as the window sums
-
-        return self.visits.inside(*((axis.high - axis.low) / FLUX_CELLS for axis in (self.d, self.q)))
+        return self._visited()
 
     def coverage(self) -> float:
-        """Return the share of the current disc with data, 0 to 1."""
-        return disc_coverage(self.visits.i_d, self.visits.i_q, self.inside(), self.i_max)
+        """Return the share of the current disc with data, 0 to 1: of all methods by the same cells."""
+        return disc_coverage(self.visits.i_d, self.visits.i_q, self._visited(), self.i_max)
+
+    def _visited(self) -> BoolArray:
+        return self.visits.inside(*((axis.high - axis.low) / FLUX_CELLS for axis in (self.d, self.q)))

@@ -18,10 +18,11 @@ from itertools import pairwise
 import numpy as np
 
 from drive_id.core.maps.coenergy import bent_edges
+from drive_id.core.maps.coverage import FLUX_CELLS
 from drive_id.types import TINY, FloatArray, IntArray
 
-FLUX_CELLS, HARMONIC_CELLS = 16, 4
-"""Usual cells per axis of the map and of the amplitudes of its harmonics."""
+HARMONIC_CELLS = 4
+"""Usual cells per axis of the amplitudes of its harmonics."""
 _MOST_CELLS = 1200
 """Of the plane, at most: memory grows with their square, time with their third power."""
 _OF_LARGEST = 1 / 30

@@ -22,11 +22,10 @@ from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.model import MAGNET, RESISTANCE
-from drive_id.core.full.resolution import FLUX_CELLS
 from drive_id.core.full.standard_errors import sigma as fitted_sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE, Windows
-from drive_id.core.maps.coverage import enclosed, smoothed
+from drive_id.core.maps.coverage import FLUX_CELLS, enclosed, smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_models import BasisRows, TensorSpline, fitted, sites
 from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Limits, SimulationModel

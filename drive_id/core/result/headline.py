@@ -23,7 +23,7 @@ _SLOPES = 0.95
 """The largest of these for inductances: nearer to the edge of the data, slopes are off by up to 6 %."""
 _ENCLOSED = " No sample lies there: the map and its error follow from those around."
 _WORST = 0.5
-"""Standard error of an inductance, relative, beyond which it is not told."""
+"""Standard error of a value, relative, beyond which its note says so."""
 
 
 def headline(
@@ -74,7 +74,7 @@ def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
     if drive.origin.turning:
         sigma = _sigma(local.changes[0]) if said else float(drive.flux_map.sigma(0.0, 0.0)[0])
         found.insert(0, Quantity(names[0], float(local.psi[0]), sigma, "Wb", "At zero current." + said))
-    return tuple(_unless_vague(quantity) if said else quantity for quantity in found)
+    return tuple(_noted(quantity) if said else quantity for quantity in found)
 
 
 def _usable(drive: IdentifiedDrive) -> list[tuple[BoolArray, str]]:
@@ -160,7 +160,7 @@ class _Local:
         """Return both incremental inductances at a current of the largest torque."""
         note = f"Incremental, at {self.currents}."
         found = tuple(self.inductance(k, f"L_{axis} at {self.where(drive)}", note) for k, axis in enumerate("dq"))
-        return tuple(_unless_vague(quantity) for quantity in found if math.isfinite(quantity.sigma))
+        return tuple(_noted(quantity) for quantity in found if math.isfinite(quantity.sigma))
 
     def torques(self, drive: IdentifiedDrive, pole_pairs: int) -> tuple[Quantity, Quantity]:
         """Return the largest torque of this amplitude of the current, and that by the amplitude."""
@@ -185,11 +185,10 @@ class _Local:
         return Quantity(name, float(self.slopes[axis]), _sigma(self.slope_changes[axis]), "H", note)
 
 
-def _unless_vague(quantity: Quantity) -> Quantity:
-    """Return a quantity without its value where that says next to nothing."""
-    if quantity.sigma < _WORST * quantity.value:
-        return quantity
-    return replace(quantity, value=math.nan, sigma=math.nan, note=f"The data hardly define it: {quantity}.")
+def _noted(quantity: Quantity) -> Quantity:
+    """Return a quantity with a word in its note where its standard error leaves little of it."""
+    known = quantity.sigma < _WORST * quantity.value
+    return quantity if known else replace(quantity, note=f"The data hardly define it. {quantity.note}")
 
 
 def _sigma(changes: FloatArray) -> float:

@@ -55,7 +55,7 @@ class FluxMap:
     def __repr__(self) -> str:
         d, q = (f"{axis[0]:.4g} to {axis[-1]:.4g} A" for axis in (self.i_d, self.i_q))
         size = f"{len(self.i_d)} x {len(self.i_q)}"
-        return f"<FluxMap {size}, i_d {d}, i_q {q}, {100 * self.inside.mean():.0f} % inside>"
+        return f"<FluxMap {size}, i_d {d}, i_q {q}, data at {self.inside.sum()} points>"
 
     def grid(self) -> FloatArray:
         """Return the currents of all grid points, (D, Q, 2), A."""
@@ -126,7 +126,7 @@ class FluxMap:
     def _repr_html_(self) -> str:
         """Return the ranges of the map as a small table, for notebooks."""
         known = {f"{name}, Wb": getattr(self, name)[self.inside] for name in ("psi_d", "psi_q", "sigma_d", "sigma_q")}
-        size = f"{len(self.i_d)} × {len(self.i_q)} points, {100 * float(self.inside.mean()):.0f} % with data"
+        size = f"{len(self.i_d)} × {len(self.i_q)} points, {self.inside.sum()} with data"
         return ranges_table(f"Flux map of {size}", {"i_d, A": self.i_d, "i_q, A": self.i_q} | known)
 
     def bilinear(self, i_dq: FloatArray) -> FloatArray:

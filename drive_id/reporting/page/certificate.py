@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Sequence
+from datetime import datetime, timezone
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from drive_id.analysis.verification import Judgement, Verification
 from drive_id.pictures.panels import PSI, add_colour_bar, levels, name_currents, place
@@ -15,8 +17,8 @@ from drive_id.quantity import measured
 from drive_id.reporting.page.html import filled
 from drive_id.result.result import Result
 
-_WIDEST = 5.0
-"""End of the colour scale, standard errors."""
+_WIDEST = 1.0
+"""End of the colour scale, % of the largest flux; an arrow there tells of more."""
 _METHOD = (
     "The voltage balance is integrated over windows of the recording in the stator frame, as in the fit; what the map "
     "does not explain is attributed to cells of the current plane, to resistance and drop by least squares. "
@@ -46,11 +48,16 @@ def row(entry: Judgement) -> tuple[str, str, str, str]:
 
 def certificate(result: Result, found: Verification, judged: Sequence[Judgement], recordings: Sequence[str]) -> str:
     """Render the certificate; of the recordings, it names files and digests."""
+    given = result.provenance.settings
     facts = {
-        "Machine": result.name or "unknown",
+        "Machine": result.machine or "unknown",
+        "Serial number": given.serial or "not given",
+        "Operator": given.operator or "not given",
+        "Bench": given.bench or "not given",
+        "Verified": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         "Map": f"method {result.method}, {result.date[:16].replace('T', ' ')} UTC" if result.date else result.method,
         "Recording": "; ".join(recordings),
-        "Cells with data": f"{len(found.i_dq)}, {100 * found.coverage:.0f} % of the disc of {result.i_max:.4g} A",
+        "Disc": f"{100 * found.coverage:.0f} % of the disc of {result.i_max:.4g} A, {len(found.i_dq)} cells with data",
         "Change of the magnet's flux": measured(100 * found.magnet[0], 100 * found.magnet[1], "%"),
         "Change of the resistance": measured(100 * found.resistance[0], 100 * found.resistance[1], "%"),
         "Change of the inverter's drop": measured(100 * found.drop[0], 100 * found.drop[1], "%"),
@@ -61,20 +68,26 @@ def certificate(result: Result, found: Verification, judged: Sequence[Judgement]
     return filled(
         "certificate.html",
         title=f"Verification of the flux map: {result.name or 'unknown machine'}",
-        verdict=verdict(judged),
+        failed=any(entry.passed is False for entry in judged),
+        verdict=verdict(judged).partition(": ")[2],
         facts=facts,
         rows=[row(entry) for entry in judged],
-        picture=base64.b64encode(rendered(_picture(found), dpi=110)).decode(),
+        picture=base64.b64encode(rendered(_picture(found, result.i_max), dpi=110)).decode(),
         note=_METHOD,
     )
 
 
-def _picture(found: Verification) -> Figure:
+def _picture(found: Verification, i_max: float) -> Figure:
     figure = Figure(figsize=(8.6, 3.5))
+    percent = 100 * found.difference / found.largest
     for column, axis in enumerate("dq"):
-        panel, colours = place(figure, 0.75 + 4.2 * column, 0.5, 2.6, 2.6), found.in_sigma[:, column]
+        panel, colours = place(figure, 0.75 + 4.2 * column, 0.5, 2.6, 2.6), percent[:, column]
         i_d, i_q = found.i_dq.T
         drawn = panel.scatter(i_d, i_q, 90, colours, marker="s", cmap="RdBu_r", vmin=-_WIDEST, vmax=_WIDEST)
-        name_currents(panel, f"{PSI[axis]}, standard errors")
-        add_colour_bar(panel, drawn, levels(-_WIDEST, _WIDEST, 8))
+        panel.add_patch(Circle((0, 0), i_max, fill=False, linewidth=0.8))
+        panel.set(xlim=(-1.05 * i_max, 1.05 * i_max), ylim=(-1.05 * i_max, 1.05 * i_max))
+        name_currents(panel, f"{PSI[axis]}, % of the largest flux")
+        below, above = bool((colours < -_WIDEST).any()), bool((colours > _WIDEST).any())
+        extend = "both" if below and above else "min" if below else "max" if above else "neither"
+        add_colour_bar(panel, drawn, levels(-_WIDEST, _WIDEST, 8), extend=extend)
     return figure

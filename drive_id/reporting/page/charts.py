@@ -6,21 +6,25 @@ significant digits.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.colors import to_hex
 
+from drive_id.core.result.identification import FluxMap
 from drive_id.pictures.panels import COLOURS
-from drive_id.quantity import plain
+from drive_id.quantity import plain, scaled_unit
 from drive_id.reporting.page.content import map_difference
-from drive_id.reporting.page.operation import TorqueMap
+from drive_id.reporting.page.operation import TorqueMap, with_enclosed
 from drive_id.result.result import Result
-from drive_id.types import FloatArray
+from drive_id.types import BoolArray, FloatArray
 
 MOST_POINTS = 97
 """Along an axis of a grid: finer maps are thinned, as a page of tens of MB opens in no browser."""
+_Part = tuple[str, str, str, FloatArray, FloatArray | None]
+"""Name, label, SI unit, values and standard errors of one map of a view."""
 _listed = partial(plain, digits=5)
 _RPM = 30 / np.pi
 
@@ -31,6 +35,7 @@ def charts_of(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
         "i_max": result.i_max,
         "colours": [[share, to_hex(COLOURS(share))] for share in np.linspace(0, 1, 9).tolist()],
         "map": _map(result, operation),
+        "limit": _limit(result, operation),
         "comparison": _comparison(result),
         "inverter": _inverter(result),
         "residuals": _residuals(result),
@@ -41,48 +46,97 @@ def charts_of(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
 
 def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
     """Return axes, quantities over them, and where there are data."""
-    found = result.flux_map
+    found = with_enclosed(result).flux_map
     rows, columns = _thinned(len(found.i_d)), _thinned(len(found.i_q))
     at = np.ix_(rows, columns)
-    inside = found.inside[at]
+    known = found.inside[at]
     i_d, i_q = np.meshgrid(found.i_d[rows], found.i_q[columns], indexing="ij")
-    inductances = found.inductances(i_d, i_q)
-    components = (("d", found.psi_d, found.sigma_d), ("q", found.psi_q, found.sigma_q))
-    quantities = [
-        _quantity(f"psi_{c}", f"ψ_{c}", "mWb", 1e3 * psi[at], 1e3 * sigma[at]) for c, psi, sigma in components
-    ]
-    for component, _, sigma in components:
+    inductances, errors = found.inductances(i_d, i_q), _sigma_inductances(result)[at]
+    pairs: dict[str, list[_Part]] = {"Flux linkages ψ_d and ψ_q": [], "Standard errors of ψ_d and ψ_q": []}
+    for c, psi, sigma in (("d", found.psi_d, found.sigma_d), ("q", found.psi_q, found.sigma_q)):
+        pairs["Flux linkages ψ_d and ψ_q"].append((f"psi_{c}", f"ψ_{c}", "Wb", psi[at], sigma[at]))
         if np.isfinite(sigma[found.inside]).any():
-            quantities.append(_quantity(f"sigma_{component}", f"σ of ψ_{component}", "µWb", 1e6 * sigma[at]))
-    for row, flux in enumerate("dq"):
-        for column, current in enumerate("dq"):
-            name, values = f"L_{flux}{current}", 1e3 * inductances[..., row, column]
-            quantities.append(_quantity(name, f"{name} = ∂ψ_{flux}/∂i_{current}", "mH", values))
+            part = (f"sigma_{c}", f"σ of ψ_{c}", "Wb", sigma[at], None)
+            pairs["Standard errors of ψ_d and ψ_q"].append(part)
+    for heading, elements in (("Incremental L_dd and L_qq", ("dd", "qq")), ("Incremental L_dq and L_qd", ("dq", "qd"))):
+        pairs[heading] = [_inductance(element, inductances, errors) for element in elements]
     ratio = inductances[..., 1, 1] / inductances[..., 0, 0]
-    quantities.append(_quantity("saliency", "Saliency L_qq / L_dd", "", ratio))
+    pairs["Saliency L_qq / L_dd"] = [("saliency", "L_qq / L_dd", "", ratio, None)]
+    for h in result.harmonics:
+        amplitudes = (np.hypot(h.psi_d_cos, h.psi_d_sin), np.hypot(h.psi_q_cos, h.psi_q_sin))
+        pairs[f"Amplitude of harmonic {h.order}"] = [
+            (f"h{h.order}_{c}", f"harmonic {h.order} of ψ_{c}", "Wb", x[at], None)
+            for c, x in zip("dq", amplitudes, strict=True)
+        ]
     if operation is not None:
         if operation.ripple is not None:
-            quantities.append(_quantity("ripple", "Torque ripple, peak to peak", "Nm", operation.ripple[at]))
-        quantities.append(_quantity("torque", "Torque", "Nm", operation.torque[at]))
+            pairs["Torque ripple, peak to peak"] = [("ripple", "ripple", "Nm", operation.ripple[at], None)]
+        torque, sigma = _torque(result, found)
+        pairs["Torque"] = [("torque", "torque", "Nm", torque[at], sigma[at])]
+    pairs = {heading: parts for heading, parts in pairs.items() if parts}
+    quantities = [quantity for parts in pairs.values() for quantity in _quantities(parts, known)]
     trajectory = result.diagnostics.trajectory if result.diagnostics else np.zeros((0, 2))
     return {
         "i_d": _listed(found.i_d[rows]),
         "i_q": _listed(found.i_q[columns]),
-        "inside": inside.T.astype(int).tolist(),
+        "inside": result.flux_map.inside[at].T.astype(int).tolist(),
+        "known": known.T.astype(int).tolist(),
         "quantities": quantities,
+        "views": [{"label": heading, "parts": [part[0] for part in parts]} for heading, parts in pairs.items()],
         "trajectory": {"i_d": _listed(trajectory[:, 0]), "i_q": _listed(trajectory[:, 1])},
     }
 
 
-def _quantity(name: str, label: str, unit: str, values: FloatArray, sigma: FloatArray | None = None) -> dict[str, Any]:
-    known = sigma is not None and bool(np.isfinite(sigma).any())
-    return {
-        "name": name,
-        "label": label,
-        "unit": unit,
-        "z": _listed(values.T),
-        "sigma": _listed(sigma.T) if sigma is not None and known else None,
-    }
+def _inductance(element: str, values: FloatArray, errors: FloatArray) -> _Part:
+    """Return an element of the incremental inductances (..., 2, 2), such as ``dq``."""
+    flux, current = element[0], element[1]
+    at = np.s_[..., "dq".index(flux), "dq".index(current)]
+    return f"L_{element}", f"L_{element} = ∂ψ_{flux}/∂i_{current}", "H", values[at], errors[at]
+
+
+def _sigma_inductances(result: Result) -> FloatArray:
+    """Return the standard errors (D, Q, 2, 2) of the incremental inductances, H; NaN where not known."""
+    found, modes = result.flux_map, result.drive.error_modes
+    if modes is None:
+        return np.full((*found.inside.shape, 2, 2), np.nan)
+    psi = [np.where(modes.known, x.astype(np.float64), np.nan) for x in (modes.psi_d, modes.psi_q)]
+    slopes = [[np.gradient(x, axis, axis=k) for k, axis in ((1, found.i_d), (2, found.i_q))] for x in psi]
+    return np.asarray(np.moveaxis(np.linalg.norm(slopes, axis=2), (0, 1), (-2, -1)))
+
+
+def _torque(result: Result, found: FluxMap) -> tuple[FloatArray, FloatArray]:
+    """Return the torque (D, Q) and its standard error, Nm."""
+    (i_d, i_q), modes = np.moveaxis(found.grid(), -1, 0), result.drive.error_modes
+    factor = 1.5 * (result.pole_pairs or 0)
+    torque = np.where(found.inside, factor * (found.psi_d * i_q - found.psi_q * i_d), np.nan)
+    if modes is None:
+        return torque, np.full_like(torque, np.nan)
+    sigma = factor * np.linalg.norm(modes.psi_d * i_q - modes.psi_q * i_d, axis=0)
+    return torque, np.where(found.inside, sigma, np.nan)
+
+
+def _quantities(parts: Sequence[_Part], known: BoolArray) -> Iterator[dict[str, Any]]:
+    """Yield quantities that are shown side by side, by their size in one unit."""
+    largest = max(float(np.abs(part[3][known]).max(initial=0.0)) for part in parts)
+    for name, label, unit, values, sigma in parts:
+        scale, prefixed = scaled_unit(largest, unit)
+        told = sigma is not None and bool(np.isfinite(sigma).any())
+        yield {
+            "name": name,
+            "label": label,
+            "unit": prefixed,
+            "z": _listed(scale * values.T),
+            "sigma": _listed(scale * sigma.T) if sigma is not None and told else None,
+            "signed": name == "torque",
+        }
+
+
+def _limit(result: Result, operation: TorqueMap | None) -> dict[str, Any] | None:
+    """Return what voltage ellipses need; None where voltage or pole pairs are unknown."""
+    if operation is None or not result.u_dc or not operation.corner > 0:
+        return None
+    speeds = [float(f"{factor * operation.corner * _RPM:.2g}") for factor in (1.0, 1.5, 2.5)]
+    return {"voltage": result.u_dc / np.sqrt(3), "pole_pairs": result.pole_pairs, "speeds": speeds}
 
 
 def _comparison(result: Result) -> dict[str, Any] | None:
@@ -95,8 +149,10 @@ def _comparison(result: Result) -> dict[str, Any] | None:
     for other in judged.comparisons if judged else ():
         if other.psi_d is None:
             continue
-        apart = (1e3 * np.where(found.inside, x, np.nan)[at] for x in map_difference(result, other))
-        methods.append({"name": other.method, **{f"psi_{c}": _listed(z.T) for c, z in zip("dq", apart, strict=True)}})
+        apart = [np.where(found.inside, x, np.nan)[at] for x in map_difference(result, other)]
+        scale, unit = scaled_unit(max(float(np.nanmax(np.abs(x), initial=0.0)) for x in apart), "Wb")
+        fluxes = {f"psi_{c}": _listed(scale * z.T) for c, z in zip("dq", apart, strict=True)}
+        methods.append({"name": other.method, "unit": unit, **fluxes})
     if not methods:
         return None
     axes = {"i_d": _listed(found.i_d[rows]), "i_q": _listed(found.i_q[columns])}

@@ -28,7 +28,6 @@ _NOT_STORED = (
 )
 SECTIONS = {
     "glance": "At a glance",
-    "warnings": "Warnings",
     "map": "Flux maps",
     "comparison": "With and without a model of the inverter",
     "inverter": "Inverter",
@@ -40,6 +39,8 @@ SECTIONS = {
     "origin": "Settings, inputs and versions",
 }
 """Headings by name, in their order."""
+_ANSWER = ("ψ_PM", "L_d at zero", "L_q at zero", "R", "Torque at")
+"""Beginnings of the names of the figures that stand first and large."""
 _LEAST_CURRENT = 0.01
 """Share of the largest current of a line below which its points are not listed."""
 
@@ -69,6 +70,7 @@ class Content:
 
     title: str
     subtitle: str
+    answer: tuple[Quantity, ...]  # at most five of the headline, for all to see
     headline: tuple[Quantity, ...]  # what is asked for first
     figures: tuple[Merit, ...]  # quality at a glance
     advice: str  # what would help most; empty where nothing is known
@@ -97,6 +99,7 @@ def content_of(result: Result, operation: TorqueMap | None) -> Content:
     return Content(
         title=f"{result.origin.heading}: {result.name or 'unnamed machine'}",
         subtitle=str(result.caption()),
+        answer=_answer(result.headline),
         headline=result.headline,
         figures=_figures(result),
         advice=next(iter(result.advice), ""),
@@ -128,6 +131,13 @@ def content_of(result: Result, operation: TorqueMap | None) -> Content:
         missing=_missing(result, operation),
         twin=twin,
     )
+
+
+def _answer(found: tuple[Quantity, ...]) -> tuple[Quantity, ...]:
+    """Return the five quantities that are asked for most; others where the result has none of these."""
+    first = [next((q for q in found if q.name.startswith(name)), None) for name in _ANSWER]
+    chosen = [q for q in first if q is not None]
+    return (*chosen, *(q for q in found if q not in chosen))[: len(_ANSWER)]
 
 
 def largest_flux(result: Result) -> float:

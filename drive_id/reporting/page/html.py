@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import base64
 import gzip
+import re
 from collections.abc import Mapping
 from functools import cache
+from html import escape
 from typing import Any
 
 import jinja2
@@ -13,20 +15,28 @@ import jinja2
 from drive_id.reporting.page.content import SECTIONS, Content
 from drive_id.version import VERSION
 
+_SYMBOL = re.compile(r"\b(ψ|i|u|L|T|sigma|σ)_(PM|max|dc|[dq]{1,2})\b")
 GENERATOR = "drive_id report"
 """By which an earlier report is known."""
 
 
 def rendered_page(content: Content, charts: Mapping[str, Any], pictures: Mapping[str, bytes]) -> str:
     """Render the page with the data of its charts, and PNG by name for print and for browsers without scripts."""
+    levels = {figure.level for figure in content.figures}
     return filled(
         "report.html",
         sections=SECTIONS,
         content=content,
+        worst=next((level for level in ("weak", "fair", "unknown") if level in levels), "good"),
         charts=charts,
         pictures={name: base64.b64encode(png).decode() for name, png in pictures.items()},
         plotly=_plotly(),
     )
+
+
+def with_subscripts(text: object) -> str:
+    """Return text as markup, the indices of the field's symbols lowered."""
+    return _SYMBOL.sub(r"\1<sub>\2</sub>", escape(str(text)))
 
 
 def filled(template: str, **values: Any) -> str:
@@ -38,6 +48,7 @@ def filled(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["sub"] = with_subscripts
     return environment.get_template(template).render(generator=f"{GENERATOR} {VERSION}", **values)
 
 

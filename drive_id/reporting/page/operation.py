@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from drive_id.analysis.trajectories import CurrentLocus, mtpa, mtpv
 from drive_id.result.result import Result
 from drive_id.types import FloatArray
 
-_WEAKENING = 4.0
+_WEAKENING = 3.0
 """Highest speed over the corner speed."""
 _SPEEDS = 32  # of the efficiency map, evenly up to the highest
 _TORQUES = 20
@@ -40,6 +40,7 @@ class TorqueMap:
     """Torque and the lines of operation of a machine whose pole pairs are known."""
 
     torque: FloatArray  # (D, Q), on the grid of the flux map, Nm, NaN where there are no data
+    corner: float  # speed up to which the voltage allows MTPA at i_max, mechanical, rad/s; NaN where unknown
     lines: dict[str, CurrentLocus]  # MTPA in both directions of torque, and MTPV, as far as there are data
     ripple: FloatArray | None  # (D, Q), peak to peak, Nm; None without rotor-position harmonics
     speeds: SpeedMap | None  # None when the DC-link voltage or the resistance is unknown
@@ -49,6 +50,7 @@ def torque_map(result: Result) -> TorqueMap | None:
     """Return torque and lines of operation; None when the pole pairs are unknown, or the rotor was locked."""
     if result.pole_pairs is None or not result.origin.turning:
         return None
+    result = with_enclosed(result)
     model, found = MachineModel.of(result), result.flux_map
     torque = model.torque(found.i_d[:, None], found.i_q)
     trajectories = {
@@ -60,10 +62,24 @@ def torque_map(result: Result) -> TorqueMap | None:
     known = bool(result.u_dc) and math.isfinite(result.resistance)
     return TorqueMap(
         np.where(found.inside, torque, np.nan),
+        corner_speed(model, DriveLimits(result.i_max, model.known_u_dc() / math.sqrt(3))) if known else math.nan,
         {name: line for name, line in lines.items() if len(line) > 1},
         _ripple(result, model) if result.harmonics else None,
         _speed_map(result, model) if known else None,
     )
+
+
+def with_enclosed(result: Result) -> Result:
+    """Let the map hold also where samples only enclose the current: its standard error tells how well it is known."""
+    found, modes = result.flux_map, result.drive.error_modes
+    if modes is None or not (beyond := modes.known & ~found.inside).any():
+        return result
+    sigma_d, sigma_q = (
+        np.where(beyond, np.linalg.norm(errors, axis=0), own)
+        for errors, own in ((modes.psi_d, found.sigma_d), (modes.psi_q, found.sigma_q))
+    )
+    wider = replace(found, inside=found.inside | beyond, sigma_d=sigma_d, sigma_q=sigma_q)
+    return replace(result, drive=replace(result.drive, flux_map=wider))
 
 
 def _ripple(result: Result, model: MachineModel) -> FloatArray:
@@ -74,7 +90,7 @@ def _ripple(result: Result, model: MachineModel) -> FloatArray:
 
 
 def _speed_map(result: Result, model: MachineModel) -> SpeedMap | None:
-    """Return the map up to four times the corner speed; None where no torque keeps the limits."""
+    """Return the map up to three times the corner speed; None where no torque keeps the limits."""
     u_dc = model.known_u_dc()
     limits = DriveLimits(result.i_max, u_dc / math.sqrt(3))
     corner = corner_speed(model, limits)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -41,7 +42,7 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
     rows = tuple((f.name, f.value, f.level or "–", f.meaning) for f in content.figures)
     sheets.table(TextTable("", ("Figure", "Value", "Level", "Meaning"), rows), (0.24, 0.12, 0.09, 0.55))
     sheets.text(f"What would help most: {content.advice}" if content.advice else "")
-    sheets.heading(SECTIONS["warnings"])
+    sheets.text("Warnings", bold=True)
     for warning in content.warnings or ("None.",):
         sheets.text(f"• {warning}", colour=_WARNING if content.warnings else "black")
     sheets.heading(SECTIONS["map"], figures.get("map"))
@@ -68,10 +69,15 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
     sheets.heading(SECTIONS["method"])
     sheets.text(content.paragraph)
     sheets.heading(SECTIONS["origin"])
-    sheets.table(content.settings, (0.35, 0.45, 0.2))
+    sheets.table(_set(content.settings), (0.35, 0.45, 0.2))
     sheets.table(content.inputs, (0.4, 0.6))
     sheets.table(content.versions, (0.35, 0.65))
     return sheets.saved(content.title)
+
+
+def _set(settings: TextTable) -> TextTable:
+    """Leave the defaults out."""
+    return replace(settings, rows=tuple(row for row in settings.rows if row[-1] == "set"))
 
 
 class _Sheets:

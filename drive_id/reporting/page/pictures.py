@@ -12,7 +12,7 @@ from drive_id.pictures.diagnostics import COLOUR, LIGHT, draw_inverter, draw_res
 from drive_id.pictures.panels import COLOURS, CURRENT, PSI, SMALL, Disc, add_colour_bar, draw_field, name, place
 from drive_id.pictures.plots import WIDTH, draw_flux_maps
 from drive_id.reporting.page.content import map_difference
-from drive_id.reporting.page.operation import SpeedMap, TorqueMap
+from drive_id.reporting.page.operation import SpeedMap, TorqueMap, with_enclosed
 from drive_id.result.result import Result
 
 
@@ -32,6 +32,8 @@ def figures_of(result: Result, operation: TorqueMap | None) -> dict[str, Figure]
         found["inverter"] = Figure(figsize=(WIDTH, 2.9))
         draw_inverter(place(found["inverter"], 0.65, 0.45, 6.3, 2.15), drive)
     if operation is not None:
+        for axes in found["map"].axes:
+            _draw_lines(axes, operation)
         found["operation"] = _draw_operation(result, operation)
         if operation.speeds is not None:
             found["efficiency"] = _draw_efficiency(operation.speeds)
@@ -83,12 +85,18 @@ def _draw_currents(found: SimulatedCurrent) -> Figure:
 def _draw_operation(result: Result, operation: TorqueMap) -> Figure:
     figure = Figure(figsize=(WIDTH, 3.9))
     axes = place(figure, 2.1, 0.5, 2.9, 3.0)
-    draw_field(axes, Disc(result.flux_map, result.i_max), operation.torque, "Torque / Nm")
-    for (label, line), dashes in zip(operation.lines.items(), ("solid", "dashed", "dotted"), strict=False):
-        axes.plot(line.i_d, line.i_q, color=LIGHT, linewidth=1.6, linestyle=dashes, label=label, zorder=3)
+    draw_field(
+        axes, Disc(with_enclosed(result).flux_map, result.i_max), operation.torque, "Torque / Nm", symmetric=True
+    )
+    _draw_lines(axes, operation)
     if operation.lines:
         axes.legend(fontsize=SMALL, loc="lower right")
     return figure
+
+
+def _draw_lines(axes: Axes, operation: TorqueMap) -> None:
+    for (label, line), dashes in zip(operation.lines.items(), ("solid", "dashed", "dotted"), strict=False):
+        axes.plot(line.i_d, line.i_q, color=LIGHT, linewidth=1.6, linestyle=dashes, label=label, zorder=3)
 
 
 def _draw_efficiency(speeds: SpeedMap) -> Figure:

@@ -12,13 +12,17 @@
   ];
   let [sorted, rising] = [0, false];
 
+  const NUMBERS = new Set([...QUANTITIES, "Covered", "Warnings"]);
+  const END = 5;  // of the colour scale, joint standard errors
+  const letters = new Map();  // of the results compared; A is the reference
+  const lettered = (row) => `${letters.get(row)}: ${row.folder}`;
   const named = (row) => [row.machine || row.folder, row.serial, (row.date ?? "").slice(0, 10)].filter(Boolean).join(", ");
   const text = (row) => [row.date, row.machine, row.serial, row.method, row.folder, row.error].filter(Boolean).join(" ").toLowerCase();
 
   function cell([name, value, written], row) {
     const content = name === "Folder" && row.report ? made("a", { href: `${encodeURI(row.folder)}/report.html` }, row.folder)
       : String((written ?? value)(row) ?? "");
-    const found = made("td", { "data-name": name }, content);
+    const found = made("td", { "data-name": name, ...(NUMBERS.has(name) ? { class: "number" } : {}) }, content);
     if (name === "Warnings" && row.warnings?.length) found.title = row.warnings.join("\n");
     return found;
   }
@@ -37,7 +41,8 @@
     const kept = rows.filter((row) => words.every((word) => text(row).includes(word)));
     const order = (a, b) => (value(a) === null) - (value(b) === null)
       || (value(a) < value(b) ? -1 : value(a) > value(b) ? 1 : 0) * (rising ? 1 : -1);
-    byId("body").replaceChildren(...kept.sort(order).map(line));
+    const none = made("tr", {}, made("td", { colspan: COLUMNS.length + 1 }, rows.length ? "No result matches the filter." : "There are no results here yet."));
+    byId("body").replaceChildren(...(kept.length ? kept.sort(order).map(line) : [none]));
     byId("count").textContent = `${kept.length} of ${rows.length} results`;
     byId("head").replaceChildren(made("th", { scope: "col" }, "Compare"), ...COLUMNS.map(([name], n) => {
       const button = made("button", { type: "button" }, name);
@@ -46,7 +51,7 @@
         list();
         byId("head").querySelectorAll("button")[n].focus();
       });
-      return made("th", { scope: "col", ...(n === sorted ? { "aria-sort": rising ? "ascending" : "descending" } : {}) }, button);
+      return made("th", { scope: "col", ...(NUMBERS.has(name) ? { class: "number" } : {}), ...(n === sorted ? { "aria-sort": rising ? "ascending" : "descending" } : {}) }, button);
     }));
   }
 
@@ -77,10 +82,10 @@
 
   function compared(first, other, name) {
     const [a, b] = [quantity(name)(first), quantity(name)(other)];
-    if (!a || !b) return made("td", {}, b ? b[3] : "");
+    if (!a || !b) return made("td", { class: "number" }, b ? b[3] : "");
     const units = unitsOf(a, b);
     const apart = units === null ? "" : ` (${units > 0 ? "+" : ""}${shown(units, 2)} σ)`;
-    return made("td", { "data-name": named(other) }, b[3], made("span", { class: Math.abs(units) > 3 ? "far" : "" }, apart));
+    return made("td", { "data-name": lettered(other), class: "number" }, b[3], made("span", { class: Math.abs(units) > 3 ? "far" : "" }, apart));
   }
 
   function picture(first, other, flux) {
@@ -90,28 +95,36 @@
     const known = units.filter((x) => x !== null);
     const drawn = known.length ? units : values;
     const largest = drawn.reduce((most, x) => Math.max(most, Math.abs(x ?? 0)), 0);
-    const limit = Math.max(largest, known.length ? 3 : 1e-9);
+    const limit = known.length ? END : largest || 1e-9;
     const canvas = made("canvas", { role: "img" });
     drawDisc(canvas, Math.max(first.quantities.i_max[0], other.quantities.i_max[0]), cells, step, drawn, (x) => shade(x / limit, true));
-    const caption = `ψ_${flux}: ${named(other)} minus ${named(first)}; rms ${shown(rms(values))} mWb`
-      + (known.length ? `, rms ${shown(rms(known))} σ, largest ${shown(largest)} σ` : ", standard errors unknown")
-      + `, at ${cells.length} nodes. Blue: less, red: more, full colour at ${shown(limit)} ${known.length ? "joint standard errors" : "mWb"}.`;
+    const caption = `ψ_${flux}: ${lettered(other)} minus ${lettered(first)}; rms ${shown(rms(values))} mWb`
+      + (known.length ? `, rms ${shown(rms(known))} σ, largest ${shown(largest)} σ.` : `; standard errors unknown, full colour at ${shown(limit)} mWb.`);
     canvas.setAttribute("aria-label", caption);
     return made("figure", {}, canvas, made("figcaption", {}, caption));
   }
 
   function compare() {
-    const [first, ...others] = chosen;
-    if (!others.length) return byId("compared").replaceChildren(made("p", {}, "Tick two results or more in the table."));
-    const head = [first, ...others].map((row, n) => made("th", { scope: "col" }, `${n ? "" : "Reference: "}${named(row)}`));
+    const reference = [...chosen].find((row) => row.folder === byId("reference").value) ?? [...chosen][0];
+    byId("reference").replaceChildren(...[...chosen].map((row) => made("option", { value: row.folder, ...(row === reference ? { selected: "" } : {}) }, row.folder)));
+    byId("reference").disabled = chosen.size < 2;
+    const ticked = [...chosen].filter((row) => row !== reference);
+    const [first, others] = [reference, ticked.filter((row) => row.machine === reference.machine)];
+    const refused = ticked.filter((row) => row.machine !== reference.machine)
+      .map((row) => made("p", { class: "note" }, `${row.folder} is of another machine (${row.machine || "unnamed"}) than the reference (${reference.machine || "unnamed"}): not compared.`));
+    if (!others.length) return byId("compared").replaceChildren(made("p", {}, "Tick two results or more of one machine in the table."), ...refused);
+    letters.clear();
+    [first, ...others].forEach((row, n) => letters.set(row, n < 26 ? String.fromCharCode(65 + n) : String(n + 1)));
+    const head = [first, ...others].map((row, n) => made("th", { scope: "col", class: "number" }, lettered(row), n ? "" : " (reference)"));
     const body = QUANTITIES.map((name) => made("tr", {}, made("th", { scope: "row" }, name),
-      made("td", { "data-name": named(first) }, quantity(name)(first)?.[3] ?? ""), ...others.map((other) => compared(first, other, name))));
+      made("td", { "data-name": lettered(first), class: "number" }, quantity(name)(first)?.[3] ?? ""), ...others.map((other) => compared(first, other, name))));
     const table = made("table", { class: "cards" }, made("thead", {}, made("tr", {}, made("th", { scope: "col" }, "Quantity"), ...head)), made("tbody", {}, ...body));
     const pictures = others.flatMap((other) => (first.map && other.map ? ["d", "q"].map((flux) => picture(first, other, flux)) : []));
     const missing = pictures.length < 2 * others.length ? [made("p", {}, "Maps of older results are not on this page: drive-id compare shows them.")] : [];
     return byId("compared").replaceChildren(
       made("p", {}, "In brackets: difference from the reference in joint standard errors, marked beyond 3. Two results of one recording are not independent."),
-      made("div", { class: "wide", tabindex: 0, role: "region", "aria-label": "Comparison" }, table), made("div", { class: "pair" }, ...pictures), ...missing);
+      made("div", { class: "wide", tabindex: 0, role: "region", "aria-label": "Comparison" }, table),
+      colourBar(`\u2212${END} σ: less`, `more: +${END} σ of the difference; hatched: no data in both`, true), made("div", { class: "pair" }, ...pictures), ...missing);
   }
 
   const groupOf = (row) => [row.machine, row.serial].filter(Boolean).join(", ");
@@ -121,11 +134,11 @@
     byId("trends").replaceChildren(...["ψ_PM", "R"].flatMap((name) => {
       const points = found.filter(quantity(name)).map((row) => {
         const [value, sigma, , written] = quantity(name)(row);
-        return { x: Date.parse(row.date), y: 1e3 * value, sigma: sigma === null ? null : 1e3 * sigma, at: row.date.slice(0, 10), written, row };
+        return { x: Date.parse(row.date), y: 1e3 * value, sigma: sigma === null ? null : 1e3 * sigma, series: row.method, written, row };
       });
       if (!points.length) return [];
       const label = `${name} / ${name === "R" ? "mΩ" : "mWb"}, bars: ±2 σ`;
-      return [made("figure", {}, drawTrend(points, label, (p) => `${p.row.date.slice(0, 16).replace("T", " ")}: ${p.written}`))];
+      return [made("figure", {}, drawTrend(points, label, (p) => `${p.row.date.slice(0, 16).replace("T", " ")}: ${p.written}, ${p.series}`, (time) => new Date(time).toISOString().slice(0, 10)))];
     }));
     if (!byId("trends").children.length) byId("trends").append(made("p", {}, "No dated results of a named machine: name it with drive-id fit --machine NAME --serial NUMBER."));
   }
@@ -138,6 +151,7 @@
     byId("filter").addEventListener("input", list);
     byId("untick").addEventListener("click", () => { chosen.clear(); list(); compare(); });
     byId("group").addEventListener("change", trend);
+    byId("reference").addEventListener("change", compare);
     dark.addEventListener("change", () => { applyTheme(); compare(); });
     list(); compare(); trend();
   }

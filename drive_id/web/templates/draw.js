@@ -28,15 +28,29 @@ function shade(share, signed) {
   return `rgb(${Math.round(20 + 233 * t)},${Math.round(45 + 180 * t)},${Math.round(110 - 70 * t)})`;
 }
 
-/** Draw cells around nodes (k_d, k_q) times a step in a disc of the current plane; returns the scale, A to pixels. */
+/** A bar of colours with its ends named. */
+function colourBar(low, high, signed) {
+  const stops = Array.from({ length: 11 }, (_, k) => shade(signed ? k / 5 - 1 : k / 10, signed));
+  const strip = made("span", { class: "strip" });
+  strip.style.background = `linear-gradient(to right, ${stops.join()})`;
+  return made("div", { class: "bar" }, made("span", {}, low), strip, made("span", {}, high));
+}
+
+/** Draw cells around nodes (k_d, k_q) times a step in a disc of the current plane, hatched where there are none. */
 function drawDisc(canvas, reach, cells, step, values, paint) {
   const size = canvas.width = canvas.height = 480;
   const context = canvas.getContext("2d");
-  const scale = size / (2.1 * reach);
+  const scale = size / (2.3 * reach);
   const [x, y] = [(d) => size / 2 + scale * d, (q) => size / 2 - scale * q];
   context.save();
   context.arc(size / 2, size / 2, scale * reach, 0, 2 * Math.PI);
   context.clip();
+  context.fillStyle = colour("panel");
+  context.fillRect(0, 0, size, size);
+  context.strokeStyle = colour("grey");
+  context.beginPath();
+  for (let k = -size; k < size; k += 8) { context.moveTo(k, size); context.lineTo(k + size, 0); }
+  context.stroke();
   cells.forEach(([d, q], n) => {
     if (values[n] === null) return;
     context.fillStyle = paint(values[n]);
@@ -47,33 +61,44 @@ function drawDisc(canvas, reach, cells, step, values, paint) {
   context.font = "14px sans-serif";
   context.beginPath();
   context.arc(size / 2, size / 2, scale * reach, 0, 2 * Math.PI);
-  context.moveTo(0, size / 2); context.lineTo(size, size / 2);
-  context.moveTo(size / 2, 0); context.lineTo(size / 2, size);
+  context.moveTo(x(-reach), size / 2); context.lineTo(x(reach), size / 2);
+  context.moveTo(size / 2, y(reach)); context.lineTo(size / 2, y(-reach));
   context.stroke();
-  context.fillText("i_d", size - 26, size / 2 - 6);
-  context.fillText("i_q", size / 2 + 6, 14);
-  context.fillText(`${shown(reach, 4)} A`, x(reach * 0.71) - 10, y(reach * 0.74));
+  for (const [index, at] of [["d", [x(reach) + 6, size / 2 + 5]], ["q", [size / 2 - 5, y(reach) - 12]]]) {
+    context.fillText("i", ...at);
+    context.fillText(index, at[0] + 4, at[1] + 4);
+  }
+  context.fillText(`${shown(reach, 4)} A`, x(0.74 * reach), y(0.76 * reach));
   return { context, x, y };
 }
 
-/** Draw points (x, y, sigma) with bars of two standard errors on either side; x in ms of the epoch, or in s. */
-function drawTrend(points, label, describe) {
-  const [width, height, left, bottom, top] = [600, 240, 78, 34, 24];
+/** Draw points (x, y, sigma, series) with bars of two standard errors on either side, a line for each series. */
+function drawTrend(points, label, describe, tick) {
+  const [width, height, left, bottom, top] = [600, 250, 78, 34, 24];
   const bar = (p) => 2 * (p.sigma ?? 0);
   const [low, high] = [Math.min(...points.map((p) => p.y - bar(p))), Math.max(...points.map((p) => p.y + bar(p)))];
   const pad = 0.08 * (high - low) || 0.01 * Math.abs(high) || 1;
   const [first, last] = [Math.min(...points.map((p) => p.x)), Math.max(...points.map((p) => p.x))];
-  const x = (value) => left + 12 + (width - left - 28) * (last > first ? (value - first) / (last - first) : 0.5);
+  const x = (value) => left + 50 + (width - left - 106) * (last > first ? (value - first) / (last - first) : 0.5);
   const y = (value) => height - bottom - (height - bottom - top) * (value - low + pad) / (high - low + 2 * pad);
   const ordered = [...points].sort((a, b) => a.x - b.x);
-  const path = (parts) => made("path", { class: "line", d: parts.join("") });
   const svg = made("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img", "aria-label": `${label}: ${points.length} points` },
     made("text", { x: left, y: 15 }, label),
-    made("rect", { class: "frame", x: left, y: top, width: width - left - 6, height: height - bottom - top }),
-    path(ordered.map((p, n) => `${n ? "L" : "M"}${x(p.x)} ${y(p.y)}`)),
-    path(ordered.map((p) => `M${x(p.x)} ${y(p.y - bar(p))}V${y(p.y + bar(p))}`)));
+    made("rect", { class: "frame", x: left, y: top, width: width - left - 6, height: height - bottom - top }));
+  const colours = ["var(--d)", "var(--q)", "var(--good)", "var(--grey)"];
+  const series = [...new Set(points.map((p) => p.series))];
+  series.forEach((name, n) => {
+    const [own, stroke] = [ordered.filter((p) => p.series === name), colours[n % colours.length]];
+    for (const parts of [own.map((p, k) => `${k ? "L" : "M"}${x(p.x)} ${y(p.y)}`), own.map((p) => `M${x(p.x)} ${y(p.y - bar(p))}V${y(p.y + bar(p))}`)]) {
+      svg.append(made("path", { class: "line", d: parts.join(""), style: `stroke: ${stroke}` }));
+    }
+    for (const p of own) svg.append(made("circle", { cx: x(p.x), cy: y(p.y), r: 3.5, style: `fill: ${stroke}` }, made("title", {}, describe(p))));
+    if (series.length > 1) svg.append(made("text", { x: width - 8 - 70 * (series.length - 1 - n), y: 15, "text-anchor": "end", style: `fill: ${stroke}` }, name));
+  });
   for (const value of [low, (low + high) / 2, high]) svg.append(made("text", { x: left - 4, y: y(value) + 4, "text-anchor": "end" }, shown(value, 5)));
-  for (const p of ordered) svg.append(made("circle", { cx: x(p.x), cy: y(p.y), r: 3.5 }, made("title", {}, describe(p))));
-  svg.append(made("text", { x: left, y: height - 10 }, ordered[0].at), made("text", { x: width - 6, y: height - 10, "text-anchor": "end" }, ordered.at(-1).at));
+  const ticks = last > first ? [first, (first + last) / 2, last] : [first];
+  for (const [n, value] of ticks.entries()) {
+    svg.append(made("path", { class: "frame", d: `M${x(value)} ${height - bottom}v5` }), made("text", { x: x(value), y: height - 10, "text-anchor": n === 2 ? "end" : n || ticks.length < 2 ? "middle" : "start" }, tick(value)));
+  }
   return svg;
 }

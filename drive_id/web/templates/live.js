@@ -4,6 +4,8 @@
   let state = { points: [] };
   let heard = null;
   let drawn = true;
+  let reach = 0;  // i_max, A, also while the drive is idle
+  let mapAt = null;  // when the map came, ms
 
   function tile(id, value, meaning, level) {
     const [, shownValue, shownMeaning] = byId(id).children;
@@ -22,8 +24,8 @@
     const { publisher, drive, speed } = state;
     if (publisher) {
       const course = Number.isFinite(publisher.duration) && publisher.duration > 0 ? `${shown(publisher.elapsed)} of ${shown(publisher.duration)} s` : `${shown(publisher.elapsed)} s`;
-      tile("publisher", publisher.state.replace("_", " "), [course, publisher.dry_run ? "dry run" : "", publisher.reason].filter(Boolean).join("; "),
-        publisher.state === "tripped" ? "weak" : publisher.state === "idle" ? "unknown" : "good");
+      tile("publisher", finished() ? "finished" : publisher.state.replace("_", " "), [course, publisher.dry_run ? "dry run" : "", publisher.reason].filter(Boolean).join("; "),
+        publisher.state === "tripped" ? "weak" : publisher.state === "idle" && !finished() ? "unknown" : "good");
     }
     if (drive) {
       const known = [[(speed ?? drive.speed) * 30 / Math.PI, "rpm electrical"], [drive.dc_link_voltage, "V"], [drive.winding_temperature, "°C winding"]];
@@ -36,18 +38,21 @@
     if (byId("safety").textContent !== trouble.join(" ")) byId("safety").textContent = trouble.join(" ");
   }
 
+  const provisional = () => `provisional, ${Math.round((Date.now() - mapAt) / 1000)} s old`;
+  const finished = () => state.map && !state.map.provisional && (state.publisher?.state ?? "idle") === "idle";
+
   function showEstimates() {
     const { resistance, map } = state;
     const last = resistance?.estimates.at(-1);
     if (last && state.from !== "request") tile("R", measured(last.slice(1), "mΩ"), `from ${last[0]} samples`);
     else if (map) tile("R", measured(map.resistance, "mΩ"), "of the requested fit");
     if (map) {
-      tile("psi", measured(map.psi_pm, "mWb"), map.provisional ? "provisional" : "of the requested fit");
+      tile("psi", measured(map.psi_pm, "mWb"), map.provisional ? provisional() : "of the requested fit");
       tile("drop", measured(map.drop, "V"), `method ${map.method}`);
     }
     byId("forecast").textContent = state.from === "request" ? "" : resistance?.forecast ?? "";
-    const points = (resistance?.estimates ?? []).filter((e) => e[2] !== null).map(([samples, y, sigma]) => ({ x: samples, y, sigma, at: `${samples} samples` }));
-    if (points.length > 1) byId("course").replaceChildren(drawTrend(points, "R / mΩ over the samples, bars: ±2 σ", (p) => measured([p.y, p.sigma], "mΩ")));
+    const points = (resistance?.estimates ?? []).filter((e) => e[2] !== null).map(([samples, y, sigma]) => ({ x: samples, y, sigma, series: "" }));
+    if (points.length > 1) byId("course").replaceChildren(drawTrend(points, "R / mΩ over the samples, bars: ±2 σ", (p) => measured([p.y, p.sigma], "mΩ"), (samples) => `${Math.round(samples)} samples`));
   }
 
   function showList(id, sentences) {
@@ -64,7 +69,7 @@
 
   function showDisc() {
     const { points, map } = state;
-    const reach = map?.i_max ?? 1.05 * points.reduce((most, [d, q]) => Math.max(most, Math.hypot(d, q)), 1);
+    reach = map?.i_max ?? Math.max(reach, 1.05 * points.reduce((most, [d, q]) => Math.max(most, Math.hypot(d, q)), 1));
     const values = map ? map.sigma.map((value) => Math.log10(Math.max(value, 1e-6))) : [];
     const [low, high] = [Math.min(...values), Math.max(...values)];
     const { context, x, y } = drawDisc(byId("disc"), reach, map?.cells ?? [], map?.step ?? 1, values, (v) => shade(high > low ? (v - low) / (high - low) : 0));
@@ -80,8 +85,8 @@
       context.fill();
     }
     if (!map) return;
-    const range = `${shown(10 ** low, 2)} µWb (dark) to ${shown(10 ** high, 2)} µWb (light)`;
-    byId("disc-caption").textContent = `Measured currents; cells: the larger standard error of both fluxes, ${range}; ${shown(100 * map.coverage)} % of the disc has data.`;
+    byId("disc-bar").replaceChildren(colourBar(`${shown(10 ** low, 2)} µWb`, `${shown(10 ** high, 2)} µWb`, false));
+    byId("disc-caption").textContent = `Measured currents; cells: the larger standard error of both fluxes, hatched: no data; ${shown(100 * map.coverage)} % of the disc has data.`;
   }
 
   function draw() {
@@ -97,6 +102,7 @@
     const from = news.map && !news.map.provisional ? "request" : samples !== state.samples ? "background" : state.from;
     Object.assign(state, news, { points, samples, from });
     heard = Date.now();
+    if (news.map) mapAt = heard;
     if (drawn) { drawn = false; requestAnimationFrame(draw); }
   }
 
@@ -108,8 +114,9 @@
   setInterval(() => {
     const age = Date.now() - heard;
     const said = !connected ? "The server does not answer; this page shows what it knew last."
-      : age > SILENT ? `No news for ${Math.round(age / 1000)} s.` : state.nodes || state.drive ? "Live." : "Connected; nothing is heard of a drive yet.";
+      : finished() ? "Finished: the result of the requested fit stands here." : age > SILENT ? `No news for ${Math.round(age / 1000)} s.` : state.nodes || state.drive ? "Following the drive." : "Connected; nothing is heard of a drive yet.";
     if (byId("link").textContent !== said) byId("link").textContent = said;
+    if (state.map?.provisional) byId("psi").lastElementChild.textContent = provisional();
   }, 500);
   dark.addEventListener("change", () => { applyTheme(); draw(); });
   draw();

@@ -63,11 +63,13 @@
 
   const probed = () => ["probe-d", "probe-q"].map((id) => byId(id).valueAsNumber);
 
-  /** A cross at the probed current. */
-  function mark() {
+  /** A cross at the probed current, on each of some planes. */
+  function mark(planes = 1) {
     const [x, y] = probed();
     const known = Number.isFinite(x) && Number.isFinite(y);
-    return known ? [{ x, y, text: "✛", showarrow: false, font: { size: 18, color: "#ff5a36" } }] : [];
+    return (known ? ["", "2"].slice(0, planes) : []).map((n) => ({
+      x, y, xref: `x${n}`, yref: `y${n}`, text: "✛", showarrow: false, font: { size: 18, color: "#ff5a36" },
+    }));
   }
 
   /** What lies beyond the circle of i_max, in the colour of the page: the grid ends there in steps. */
@@ -96,20 +98,47 @@
   const colourBar = (title) => ({ title: { text: title, side: "right" }, thickness: 14, outlinewidth: 0 });
   const where = (z, kept) => z.map((row, k) => row.map((value, j) => (kept(k, j) ? value : null)));
 
-  /** A field as contours; z is copied, because plotly finds no levels for a new trace that shares its data with the last. */
-  function fieldTrace(x, y, z, label, unit, more = {}) {
-    return {
-      type: "contour", x, y, z: [...z], colorscale: data.colours, colorbar: colourBar(unit), connectgaps: false,
-      contours: { coloring: "heatmap", showlabels: true, labelfont: { size: 11, color: "#000000" } },
-      line: { width: 0.7, color: "#000000" }, name: markup(label), showlegend: false,
-      hovertemplate: `i<sub>d</sub> %{x:.4g} A<br>i<sub>q</sub> %{y:.4g} A<br>${markup(label)} %{z:.5g} ${unit}%{text}<extra></extra>`,
-      ...more,
-    };
+  const tooltip = (label, unit) => `i<sub>d</sub> %{x:.4g} A<br>i<sub>q</sub> %{y:.4g} A<br>${markup(label)} %{z:.5g}%{text} ${unit}<extra></extra>`;
+  const errors = (z, sigma) => z.map((row, k) => row.map((_, j) => (sigma && sigma[k][j] !== null ? ` ± ${sigma[k][j].toPrecision(2)}` : "")));
+
+  /** Round levels, about ten, that a range holds. */
+  function levels(z) {
+    const known = z.flat().filter((value) => value !== null);
+    const [low, high] = known.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, -Infinity]);
+    const raw = (high - low) / 12 || 1;
+    const power = 10 ** Math.floor(Math.log10(raw));
+    const size = [1, 2, 5, 10].find((step) => step * power >= raw) * power;
+    return { start: Math.ceil(low / size) * size, end: Math.floor(high / size) * size, size };
   }
+
+  /** A field as contours; labels stand only well within the disc, where no edge cuts them. */
+  function fieldTraces(x, y, z, label, unit, more = {}, within = null) {
+    const at = levels(z);
+    const axes = { xaxis: more.xaxis ?? "x", yaxis: more.yaxis ?? "y" };
+    const field = {
+      type: "contour", x, y, z: [...z], colorscale: data.colours, colorbar: colourBar(unit), connectgaps: false,
+      contours: { coloring: "heatmap", ...at }, line: { width: 0.7, color: "#000000" }, name: markup(label), showlegend: false,
+      hovertemplate: tooltip(label, unit), text: errors(z, null), ...more,
+    };
+    const kept = within === null ? z : where(z, (k, j) => within(x[j], y[k]));
+    const labels = {
+      type: "contour", x, y, z: kept, showscale: false, hoverinfo: "skip", showlegend: false, line: { width: 0 }, ...axes,
+      contours: { coloring: "none", showlabels: true, labelfont: { size: 11, color: "#000000" }, ...at },
+    };
+    return [field, labels];
+  }
+
+  /** Colours from blue over white, which is 0, to red. */
+  function signed(z) {
+    const largest = Math.max(...z.flat().map((value) => Math.abs(value ?? 0)));
+    return { colorscale: "RdBu", zmin: -largest, zmax: largest };
+  }
+  const inDisc = (x, y) => Math.hypot(x, y) < 0.88 * data.i_max;
 
   // -- the map -------------------------------------------------------------------------------------------------------
 
-  const quantity = () => data.map.quantities.find((entry) => entry.name === byId("map-quantity").value);
+  const named = (name) => data.map.quantities.find((entry) => entry.name === name);
+  const chosenParts = () => data.map.views.find((view) => view.label === byId("map-quantity").value).parts.map(named);
 
   /** Value at a current by bilinear interpolation of z[k][j]; null outside the grid or without data. */
   function interpolated(z, d, q) {
@@ -134,19 +163,19 @@
 
   /** Rows and columns of a node of the map and its neighbours. */
   function around(k, j) {
-    const { inside } = data.map;
+    const { known: inside } = data.map;
     const near = (at, count) => [at - 1, at, at + 1].filter((place) => place >= 0 && place < count);
     return near(k, inside.length).flatMap((row) => near(j, inside[row].length).map((column) => [row, column]));
   }
 
   /** Whether a node lies at or beside one without data, so that the continuation joins the data. */
   function nearGap(k, j) {
-    return around(k, j).some(([row, column]) => data.map.inside[row][column] === 0);
+    return around(k, j).some(([row, column]) => data.map.known[row][column] === 0);
   }
 
   /** Surface x, y, z with a smooth edge: nodes just beyond the data are drawn in to the edge of the smoothed region. */
   function smoothEdged(z) {
-    const { i_d, i_q, inside } = data.map;
+    const { i_d, i_q, known: inside } = data.map;
     const smoothed = (nodes) => nodes.map((row, k) => row.map((_, j) => {
       let [sum, count] = [0, 0];
       for (const [r, c] of around(k, j)) {
@@ -172,70 +201,159 @@
     return { x, y, z: height };
   }
 
+  const known = (chosen) => where(chosen.z, (k, j) => data.map.known[k][j] === 1);
+  const noData = (z) => z.map((row) => row.map(() => ", no data"));
+  const grey = () => ({ colorscale: [[0, colour("grey")], [1, colour("grey")]], showscale: false, opacity: 0.45 });
+  const LINE = "#ff5a36";
+
+  /** Lines of operation on the current plane; in the legend once. */
+  function operationLines(axes, first) {
+    return (data.operation?.lines ?? []).map((line, k) => ({
+      type: "scatter", mode: "lines", x: line.i_d, y: line.i_q, name: line.name, showlegend: first, legendgroup: line.name, ...axes,
+      line: { color: LINE, width: 3, dash: ["solid", "dash", "dot"][k % 3] },
+      text: line.torque.map((value, n) => (value === null ? ""
+        : `${value.toPrecision(4)}${line.sigma[n] === null ? "" : ` ± ${line.sigma[n].toPrecision(2)}`} Nm`)),
+      hovertemplate: `${line.name}<br>i<sub>d</sub> %{x:.4g} A<br>i<sub>q</sub> %{y:.4g} A<br>%{text}<extra></extra>`,
+    }));
+  }
+
+  /** Where the flux at a speed takes all of the voltage, R left aside. */
+  function ellipses(axes, first) {
+    if (!data.limit) return [];
+    const [psi_d, psi_q] = [named("psi_d"), named("psi_q")];
+    const z = psi_d.z.map((row, k) => row.map((value, j) => Math.hypot(value, psi_q.z[k][j])));
+    const perWb = { Wb: 1, mWb: 1e3, "µWb": 1e6 }[psi_d.unit];
+    const speeds = byId("map-speeds").value.split(/[,;\s]+/).map(Number).filter((speed) => speed > 0);
+    return speeds.map((speed, n) => {
+      const level = perWb * data.limit.voltage / (speed * Math.PI / 30 * data.limit.pole_pairs);
+      return {
+        type: "contour", x: data.map.i_d, y: data.map.i_q, z, showscale: false, hoverinfo: "skip", ...axes,
+        contours: { coloring: "none", start: level, end: level, size: 1 }, name: `limit at ${speed} rpm`, showlegend: first,
+        line: { color: colour("text"), width: 2, dash: ["dash", "dot", "dashdot"][n % 3] }, colorscale: [[0, colour("text")], [1, colour("text")]],
+      };
+    });
+  }
+
+  const circle = (share, axes) => ({
+    type: "circle", x0: -share * data.i_max, x1: share * data.i_max, y0: -share * data.i_max, y1: share * data.i_max,
+    line: { color: share < 1 ? "#00000066" : colour("text"), width: 1, ...(share < 1 ? { dash: "dot" } : {}) }, xref: axes.xaxis, yref: axes.yaxis,
+  });
+
+  /** Both parts of a view side by side, on a narrow page one below the other. */
   function drawMap() {
-    const chosen = quantity();
-    const { i_d, i_q, inside, trajectory } = data.map;
-    const flat = byId("map-view").value === "map";
-    const known = where(chosen.z, (k, j) => inside[k][j] === 1);
-    const rest = where(chosen.z, nearGap);
-    const text = chosen.z.map((row, k) => row.map((_, j) =>
-      chosen.sigma && chosen.sigma[k][j] !== null ? ` ± ${chosen.sigma[k][j].toPrecision(2)} ${chosen.unit}` : ""));
-    const continued = byId("map-continuation").checked && rest.some((row) => row.some((value) => value !== null));
-    const traced = byId("map-trajectory").checked;
-    const field = fieldTrace(i_d, i_q, known, chosen.label, chosen.unit, { text });
-    const grey = [[0, colour("grey")], [1, colour("grey")]];
-    if (flat) {
-      const traces = [field];
+    const parts = chosenParts();
+    const narrow = byId("chart-map").clientWidth < 640;
+    const domain = (n) => (parts.length < 2 ? [0, narrow ? 1 : 0.55] : n ? [0.56, 0.96] : [0, 0.4]);
+    const place = (n) => (narrow ? { x: [0, 1], y: parts.length < 2 ? [0.3, 1] : n ? [0, 0.42] : [0.56, 0.98] } : { x: domain(n), y: [0, 1] });
+    if (byId("map-view").value === "surface") return drawSurfaces(parts, place);
+    const { i_d, i_q, trajectory } = data.map;
+    const [continued, traced, reach] = [byId("map-continuation").checked, byId("map-trajectory").checked, 1.05 * data.i_max];
+    const found = layout({ margin: { l: 60, r: 20, t: 100, b: 50 }, shapes: [], annotations: mark(parts.length), legend: { orientation: "h", x: 0, y: 1.06, yanchor: "bottom" } });
+    const traces = parts.flatMap((part, n) => {
+      const [suffix, at] = [n ? "2" : "", place(n)];
+      const axes = { xaxis: `x${suffix}`, yaxis: `y${suffix}` };
+      const bar = { ...colourBar(part.unit), title: { text: part.unit, side: "top" }, x: at.x[1] + 0.005, y: (at.y[0] + at.y[1]) / 2, len: at.y[1] - at.y[0] };
+      found[`xaxis${suffix}`] = axis(currentAxis("d"), { range: [-reach, reach], constrain: "domain", domain: at.x, anchor: axes.yaxis });
+      found[`yaxis${suffix}`] = axis(currentAxis("q"), { range: [-reach, reach], scaleanchor: axes.xaxis, constrain: "domain", domain: at.y, anchor: axes.xaxis });
+      found.shapes.push(...(continued || traced ? [] : [{ ...beyond(), xref: axes.xaxis, yref: axes.yaxis }]), ...[0.25, 0.5, 0.75, 1].map((share) => circle(share, axes)));
+      found.annotations.push({ text: `<b>${markup(part.label)}</b>`, showarrow: false, xref: "paper", yref: "paper", x: at.x[0], y: at.y[1], xanchor: "left", yanchor: "bottom" });
+      const z = known(part);
+      const own = [...fieldTraces(i_d, i_q, z, part.label, part.unit, { text: errors(z, part.sigma), colorbar: bar, ...(part.signed ? signed(z) : {}), ...axes }, inDisc),
+        { type: "heatmap", x: i_d, y: i_q, z: where(z, (k, j) => data.map.inside[k][j] === 0).map((row) => row.map((value) => (value === null ? null : 1))),
+          colorscale: [[0, colour("page")], [1, colour("page")]], opacity: 0.3, showscale: false, hoverinfo: "skip", ...axes },
+        ...operationLines(axes, n === 0), ...ellipses(axes, n === 0)];
       if (continued) {
-        traces.unshift(fieldTrace(i_d, i_q, rest, chosen.label, chosen.unit, {
-          colorscale: grey, showscale: false, opacity: 0.45, text: where(text, () => false).map((row) => row.map(() => ", no data")),
-        }));
+        const rest = where(part.z, nearGap);
+        own.unshift({ ...fieldTraces(i_d, i_q, rest, part.label, part.unit, axes)[0], ...grey(), text: noData(rest) });
       }
       if (traced) {
-        traces.push({ type: "scatter", mode: "lines", x: trajectory.i_d, y: trajectory.i_q, name: "measured",
-          line: { color: "#ff5a36", width: 0.8 }, hoverinfo: "skip", showlegend: false });
+        own.push({ type: "scatter", mode: "lines", x: trajectory.i_d, y: trajectory.i_q, ...axes,
+          line: { color: LINE, width: 0.8 }, hoverinfo: "skip", showlegend: false });
       }
-      return Plotly.react("chart-map", traces, planeLayout(!continued && !traced), config);
-    }
-    const surface = (z, more) => ({
-      type: "surface", x: i_d, y: i_q, z, text, name: field.name, hovertemplate: field.hovertemplate,
-      colorscale: data.colours, colorbar: colourBar(chosen.unit), connectgaps: false, ...more,
+      return own;
     });
-    const edged = smoothEdged(chosen.z);
-    const traces = [surface(edged.z, { x: edged.x, y: edged.y, contours: { z: { show: true, color: colour("text"), width: 1 } } })];
-    if (continued) {
-      const blank = text.map((row) => row.map(() => ", no data"));
-      traces.push(surface(rest, { colorscale: grey, showscale: false, opacity: 0.45, text: blank }));
-    }
-    if (traced) {
-      const heights = trajectory.i_d.map((d, n) => (d === null ? null : interpolated(chosen.z, d, trajectory.i_q[n])));
-      traces.push({ type: "scatter3d", mode: "lines", x: trajectory.i_d, y: trajectory.i_q, z: heights,
-        line: { color: "#ff5a36", width: 3 }, hoverinfo: "skip", showlegend: false });
-    }
+    return Plotly.react("chart-map", traces, found, config);
+  }
+
+  function drawSurfaces(parts, place) {
+    const { i_d, i_q, trajectory } = data.map;
     const turn = Number(byId("map-turn").value) * Math.PI / 180;
-    const scene = {
-      xaxis: axis(currentAxis("d"), { color: colour("text") }),
-      yaxis: axis(currentAxis("q"), { color: colour("text") }),
-      zaxis: axis(`${markup(chosen.label.split(" = ")[0])} / ${chosen.unit}`, { color: colour("text") }),
-      aspectmode: "manual", aspectratio: { x: 1, y: 1, z: 0.75 },
-      camera: { eye: { x: 1.7 * Math.cos(turn), y: 1.7 * Math.sin(turn), z: 0.9 }, center: { x: 0, y: 0, z: -0.16 } },
-    };
-    return Plotly.react("chart-map", traces, layout({ scene, margin: { l: 0, r: 0, t: 30, b: 0 } }), config);
+    const found = layout({ margin: { l: 0, r: 0, t: 30, b: 0 } });
+    const traces = parts.flatMap((part, n) => {
+      const [scene, at] = [`scene${n ? 2 : ""}`, place(n)];
+      const bar = { ...colourBar(part.unit), x: at.x[1], y: (at.y[0] + at.y[1]) / 2, len: 0.8 * (at.y[1] - at.y[0]) };
+      const surface = (z, more) => ({
+        type: "surface", x: i_d, y: i_q, z, text: errors(part.z, part.sigma), name: markup(part.label), hovertemplate: tooltip(part.label, part.unit),
+        colorscale: data.colours, colorbar: bar, connectgaps: false, scene, ...(part.signed ? { colorscale: "RdBu", cmid: 0 } : {}), ...more,
+      });
+      found[scene] = {
+        domain: at, xaxis: axis(currentAxis("d"), { color: colour("text") }), yaxis: axis(currentAxis("q"), { color: colour("text") }),
+        zaxis: axis(`${markup(part.label.split(" = ")[0])} / ${part.unit}`, { color: colour("text") }),
+        aspectmode: "manual", aspectratio: { x: 1, y: 1, z: 0.75 },
+        camera: { eye: { x: 2 * Math.cos(turn), y: 2 * Math.sin(turn), z: 1.05 }, center: { x: 0, y: 0, z: -0.16 } },
+      };
+      const edged = smoothEdged(part.z);
+      const own = [surface(edged.z, { x: edged.x, y: edged.y, contours: { z: { show: true, color: colour("text"), width: 1 } } })];
+      if (byId("map-continuation").checked) {
+        const rest = where(part.z, nearGap);
+        own.push(surface(rest, { ...grey(), text: noData(rest) }));
+      }
+      if (byId("map-trajectory").checked) {
+        const heights = trajectory.i_d.map((d, k) => (d === null ? null : interpolated(part.z, d, trajectory.i_q[k])));
+        own.push({ type: "scatter3d", mode: "lines", x: trajectory.i_d, y: trajectory.i_q, z: heights, scene,
+          line: { color: LINE, width: 3 }, hoverinfo: "skip", showlegend: false });
+      }
+      return own;
+    });
+    return Plotly.react("chart-map", traces, found, config);
+  }
+
+  /** One flux over its own current through the probed one, with its band. */
+  function drawSlices() {
+    const [d, q] = probed();
+    const { i_d, i_q } = data.map;
+    const slices = [["psi_d", i_d, (x) => [x, q], "x", "y"], ["psi_q", i_q, (x) => [d, x], "x2", "y2"]];
+    const traces = slices.flatMap(([name, over, at, xaxis, yaxis]) => {
+      const part = named(name);
+      const [value, sigma] = [known(part), part.sigma].map((z) => over.map((x) => (z === null ? null : interpolated(z, ...at(x)))));
+      const line = { type: "scatter", mode: "lines", x: over, xaxis, yaxis, showlegend: false, connectgaps: false };
+      const tip = { text: sigma.map((s) => (s === null ? "" : ` ± ${s.toPrecision(2)}`)), hovertemplate: `%{x:.4g} A: %{y:.5g}%{text} ${part.unit}<extra></extra>` };
+      const edge = (sign) => value.map((y, n) => (y === null || sigma[n] === null ? null : y + sign * 1.96 * sigma[n]));
+      const hidden = { ...line, line: { width: 0 }, hoverinfo: "skip" };
+      return [{ ...hidden, y: edge(-1) }, { ...hidden, y: edge(1), fill: "tonexty", fillcolor: `${colour("d")}55` },
+        { ...line, ...tip, y: value, line: { color: colour("d"), width: 2 } }];
+    });
+    const title = (component) => `ψ<sub>${component}</sub> / ${named(`psi_${component}`).unit}`;
+    return Plotly.react("chart-slices", traces, layout({
+      margin: { l: 60, r: 20, t: 20, b: 50 },
+      xaxis: axis(currentAxis("d"), { domain: [0, 0.45] }), yaxis: axis(title("d")),
+      xaxis2: axis(currentAxis("q"), { domain: [0.55, 1], anchor: "y2" }), yaxis2: axis(title("q"), { anchor: "x2" }),
+    }), config);
   }
 
   function probe() {
     const [d, q] = probed();
     for (const name of PLANES) {
-      if (byId(`chart-${name}`)?.layout?.xaxis) Plotly.relayout(`chart-${name}`, { annotations: mark() });
+      const chart = byId(`chart-${name}`);
+      if (chart?.layout?.xaxis) Plotly.relayout(chart, { annotations: [...mark(chart.layout.xaxis2 ? 2 : 1), ...(chart.layout.annotations ?? []).filter((note) => note.text !== "✛")] });
     }
-    const chosen = quantity();
-    const there = interpolated(where(chosen.z, (k, j) => data.map.inside[k][j] === 1), d, q);
-    const value = interpolated(chosen.z, d, q);
-    const sigma = chosen.sigma ? interpolated(chosen.sigma, d, q) : null;
+    if (byId("chart-slices")?.data) drawSlices();
     const shown = (number, digits) => number.toPrecision(digits).replace("-", "\u2212");
-    byId("probe").textContent = there === null
-      ? (value === null ? "no data there" : `no data there; continued to ${shown(value, 4)} ${chosen.unit}`)
-      : `${chosen.label.split(" = ")[0]} = ${shown(value, 5)}${sigma === null ? "" : ` ± ${shown(sigma, 2)}`} ${chosen.unit}`;
+    const rounded = (value, sigma) => {
+      if (!sigma) return shown(value, 5);
+      const digits = Math.max(0, 1 - Math.floor(Math.log10(sigma)));
+      return `${value.toFixed(digits)} ± ${sigma.toFixed(digits)}`.replace("-", "\u2212");
+    };
+    const told = data.map.quantities.filter((part) => !/^(sigma|h\d)/.test(part.name) && (part.name.startsWith("psi") || interpolated(part.z, d, q) !== null));
+    byId("probe").replaceChildren(...told.map((part) => {
+      const [there, value] = [interpolated(known(part), d, q), interpolated(part.z, d, q)];
+      const sigma = part.sigma ? interpolated(part.sigma, d, q) : null;
+      const line = document.createElement("div");
+      line.innerHTML = markup(part.label.split(" = ")[0]);
+      line.append(there === null ? (value === null ? ": no data there" : `: no data there; continued to ${shown(value, 4)} ${part.unit}`)
+        : ` = ${rounded(there, sigma)} ${part.unit}`);
+      return line;
+    }));
   }
 
   /** Set the probe by a click on a chart over the current plane. */
@@ -250,11 +368,9 @@
     const chosen = data.comparison.methods.find((entry) => entry.name === byId("comparison-method").value);
     const flux = byId("comparison-flux").value;
     const z = chosen[flux];
-    const largest = Math.max(...z.flat().map((value) => Math.abs(value ?? 0)));
     const trace = {
-      type: "heatmap", x: data.comparison.i_d, y: data.comparison.i_q, z, zmin: -largest, zmax: largest,
-      colorscale: "RdBu", colorbar: colourBar("mWb"),
-      hovertemplate: "i<sub>d</sub> %{x:.4g} A<br>i<sub>q</sub> %{y:.4g} A<br>%{z:.4g} mWb<extra></extra>",
+      type: "heatmap", x: data.comparison.i_d, y: data.comparison.i_q, z, ...signed(z), colorbar: colourBar(chosen.unit),
+      text: errors(z, named(flux).sigma), hovertemplate: tooltip(`Δψ_${flux.at(-1)}`, chosen.unit),
     };
     return Plotly.react("chart-comparison", [trace], planeLayout(), config);
   }
@@ -317,39 +433,32 @@
   }
 
   function drawOperation() {
-    const torque = data.map.quantities.find((entry) => entry.name === "torque");
-    const traces = [fieldTrace(data.map.i_d, data.map.i_q, torque.z, "torque", "Nm", { text: torque.z.map((row) => row.map(() => "")) })];
-    data.operation.lines.forEach((line, k) => traces.push({
-      type: "scatter", mode: "lines", x: line.i_d, y: line.i_q, name: line.name,
-      line: { color: "#ff5a36", width: 3, dash: ["solid", "dash", "dot"][k % 3] },
-      text: line.torque.map((value, n) => {
-        const sigma = line.sigma[n] === null ? "" : ` ± ${line.sigma[n].toPrecision(2)}`;
-        return value === null ? "" : `${value.toPrecision(4)}${sigma} Nm`;
-      }),
-      hovertemplate: `${line.name}<br>i<sub>d</sub> %{x:.4g} A<br>i<sub>q</sub> %{y:.4g} A<br>%{text}<extra></extra>`,
-    }));
-    return Plotly.react("chart-operation", traces, planeLayout(), config);
+    const torque = named("torque");
+    const axes = { xaxis: "x", yaxis: "y" };
+    const field = fieldTraces(data.map.i_d, data.map.i_q, torque.z, "torque", torque.unit, { text: errors(torque.z, torque.sigma), ...signed(torque.z) }, inDisc);
+    return Plotly.react("chart-operation", [...field, ...operationLines(axes, true)], planeLayout(), config);
   }
 
   function drawEfficiency() {
     const { speed, torque, largest, efficiency } = data.operation.speeds;
-    const field = fieldTrace(speed, torque, efficiency, "efficiency", "%", {
+    const fields = fieldTraces(speed, torque, efficiency, "efficiency", "%", {
       hovertemplate: "%{x:.5g} rpm<br>%{y:.4g} Nm<br>%{z:.4g} %<extra></extra>",
     });
     const known = efficiency.flat().filter((value) => value !== null).sort((a, b) => a - b);
-    if (known.length) field.zmin = known[Math.floor(0.05 * known.length)];  // the edge near zero torque would take all colours
+    if (known.length) fields[0].zmin = known[Math.floor(0.05 * known.length)];  // the edge near zero torque would take all colours
     const edge = { type: "scatter", mode: "lines", x: speed, y: largest, name: "largest torque", showlegend: true,
       line: { color: "#ff5a36", width: 3 }, hovertemplate: "%{x:.5g} rpm, %{y:.4g} Nm<extra></extra>" };
     const top = 1.05 * Math.max(...largest);
     const beyond = { type: "scatter", mode: "none", x: [...speed, speed.at(-1), speed[0]], y: [...largest, top, top], fill: "toself",
       fillcolor: colour("page"), hoverinfo: "skip", showlegend: false };
     const axes = { xaxis: axis("speed / rpm", { range: [0, speed.at(-1)] }), yaxis: axis("torque / Nm", { range: [0, top] }) };
-    return Plotly.react("chart-efficiency", [field, beyond, edge], layout(axes), config);
+    return Plotly.react("chart-efficiency", [...fields, beyond, edge], layout(axes), config);
   }
 
   const PLANES = ["map", "comparison", "operation"];
   const charts = {
-    map: [drawMap, ["map-quantity", "map-view", "map-continuation", "map-trajectory", "map-turn"]],
+    map: [drawMap, ["map-quantity", "map-view", "map-continuation", "map-trajectory", "map-turn", ...(data.limit ? ["map-speeds"] : [])]],
+    slices: [drawSlices, []],
     comparison: [drawComparison, ["comparison-method", "comparison-flux"]],
     inverter: [drawInverter, []],
     residuals: [drawResiduals, ["residuals-over", "residuals-statistic"]],
@@ -396,7 +505,7 @@
       for (const id of controls) onChange(id, draw);
     }
     onChange("map-view", () => { byId("map-turn").disabled = byId("map-view").value === "map"; });
-    for (const id of ["probe-d", "probe-q", "map-quantity"]) onChange(id, probe);
+    for (const id of ["probe-d", "probe-q"]) onChange(id, probe);
     byId("theme").addEventListener("click", () => {
       chosenTheme = root.dataset.theme === "dark" ? "light" : "dark";
       applyTheme();

@@ -1,6 +1,6 @@
 """Errors of methods ``joint`` and ``full`` on simulated drives, compared with the goals.
 
-Usage: python benchmarks/accuracy.py [--only BLOCK,...] [--machines FOLDER] [--output docs/accuracy.md]
+Usage: python benchmarks/accuracy.py [--only BLOCK,...] [--machines FOLDER] [--output docs/engineering/accuracy.md]
 
 The blocks are speeds, machines, inverters, motion, faults, ideal, prediction and files; the last one needs the files
 ``baldor_meas_map.npz`` and ``thor_fem_harmonic_map.npz`` in FOLDER. The figures do not depend on the computer.

@@ -2,7 +2,12 @@
 document.querySelectorAll(".content table").forEach((table) => {
   const heads = [...table.querySelectorAll("thead th")].map((cell) => cell.textContent.trim());
   const rows = [...table.querySelectorAll("tbody tr")];
-  rows.forEach((row) => [...row.cells].forEach((cell, k) => (cell.dataset.head = heads[k] || "")));
+  rows.forEach((row) =>
+    [...row.cells].forEach((cell, k) => {
+      cell.dataset.head = heads[k] || "";
+      cell.classList.toggle("blank", !cell.textContent.trim());
+    }),
+  );
   if (rows.length < 40) return;
   const filter = document.createElement("input");
   filter.type = "search";

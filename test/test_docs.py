@@ -50,13 +50,30 @@ def test_all_python_is_python(page):
         ast.parse(block)
 
 
-def test_the_times_of_the_readme_are_those_of_make_bench():
-    readme = (ROOT / "README.md").read_text("utf-8")
-    told = re.search(r"10\s+kHz take (\S+) s to fit and 10 minutes take (\S+) s", readme)
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("README.md", r"10\s+kHz take (\S+) s to fit and 10 minutes take (\S+) s"),
+        ("docs/limits.md", r"10 s of data in (\S+) s, 10 minutes in (\S+) s"),
+    ],
+)
+def test_the_times_of_a_page_are_those_of_make_bench(name, said):
+    told = re.search(said, (ROOT / name).read_text("utf-8"))
     page = (ROOT / "docs" / "engineering" / "performance.md").read_text("utf-8")
     ten = re.search(r"^\| 10 s, `full`: time \| [^|]*\| ([\d.]+) s \|", page, re.MULTILINE)
     minutes = re.search(r"^\| `full`, 600 s at 10 kHz \| [^|]*\| ([\d.]+) s,", page, re.MULTILINE)
     assert [f"{float(x):.2g}" for x in told.groups()] == [f"{float(found[1]):.2g}" for found in (ten, minutes)]
+
+
+def test_the_limits_are_those_of_the_population():
+    page = (ROOT / "docs" / "engineering" / "population.md").read_text("utf-8")
+    cells = re.search(r"^\| all \| (.*) \|$", page, re.MULTILINE)[1].split(" | ")
+    number, _, half, _, _, most, _, worst, half_r, most_r, held, _ = cells
+    limits = " ".join((ROOT / "docs" / "limits.md").read_text("utf-8").split())
+    assert f"{number} whose effects can be identified" in limits
+    assert f"flux error {half} % in the median, {most} % in 95 % of them, {worst} % at most" in limits
+    assert f"R {half_r} % and {most_r} %" in limits
+    assert f"{held} on random drives" in limits
 
 
 def test_the_reference_holds_all_public_names():

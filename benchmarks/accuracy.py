@@ -101,8 +101,8 @@ def blocks() -> dict[str, Block]:
             "Other inverters",
             "The `ipm` at 500 rpm; without an inverter or with a compensated one, the curve error is relative to 1 % "
             "of the DC link. The last drive has neither noise nor harmonics, so its mean errors need not be less than "
-            "those of `joint`: the remaining error comes from compensation with outdated currents, which is fitted, but "
-            "not simulated.",
+            "those of `joint`: the remaining error comes from compensation with outdated currents, which is fitted, "
+            "but not simulated.",
             (
                 Case("ipm, tanh", "ipm", (replace(NOISY, inverter="tanh"),)),
                 Case("ipm, dead time and devices", "ipm", (replace(NOISY, inverter="two_stage"),)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import runpy
 import shutil
 from pathlib import Path
 
@@ -140,3 +141,14 @@ def test_each_warning_is_explained():
     assert len(WARNINGS) > 50
     known = {code for codes, _ in ROWS for code in re.findall(r"`(\w+)`", codes)}
     assert {key.split(".")[0] for key in CATALOGUE["warning"]} <= known
+
+
+def test_a_site_that_says_too_much_is_refused(tmp_path):
+    excess = runpy.run_path(str(ROOT / "tools" / "check_site.py"))["excess"]
+    (tmp_path / "_sources" / "engineering").mkdir(parents=True)
+    (tmp_path / "_sources" / "engineering" / "archive.md.txt").write_text("word " * 40_000)
+    for pages, words, faults in ((18, 30_000, 0), (19, 30_000, 1), (18, 30_001, 1), (0, 0, 2)):
+        links = "".join(f'<a href="{page}.html">' for page in range(pages))
+        (tmp_path / "index.html").write_text(f'<div class="sidebar-tree">{links}</div></aside><a href="more.html">')
+        (tmp_path / "_sources" / "page.md.txt").write_text("word " * words)
+        assert len(excess(tmp_path)) == faults

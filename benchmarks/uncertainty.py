@@ -132,8 +132,8 @@ def main() -> None:
         text = (
             "# Coverage of the standard errors\n\n"
             f"Empirical coverage of nominal 95 % intervals (±{BAND} σ) over {arguments.seeds} repetitions of "
-            f"{SECONDS:g} s with different noise (0.2 % of i_max): all map points within {100 * WITHIN:.0f} % of "
-            "the disc, the resistance, and the inverter curve above a tenth of i_max. Produced by "
+            f"{SECONDS:g} s with different noise (0.2 % of i_max). Counted are all map points within "
+            f"{100 * WITHIN:.0f} % of the disc, and the inverter curve above a tenth of i_max. Produced by "
             f"`python benchmarks/uncertainty.py --seeds {arguments.seeds} --write`.\n\n"
         )
         DOCUMENT.write_text(text + "\n".join(lines) + "\n", encoding="utf-8")

@@ -76,7 +76,9 @@ def excess(site: Path) -> list[str]:
         (site / "index.html").read_text(encoding="utf-8").partition('class="sidebar-tree"')[2].partition("</aside>")[0]
     )
     pages = set(re.findall(r'href="([^"#]+)"', sidebar))
-    sources = [file for file in (site / "_sources").rglob("*.md.txt") if _ARCHIVE.isdisjoint(file.parts)]
+    sources = [
+        file for file in (site / "_sources").rglob("*.md.txt") if _ARCHIVE.isdisjoint(file.relative_to(site).parts)
+    ]
     words = sum(len(file.read_text(encoding="utf-8").split()) for file in sources)
     sys.stdout.write(f"{len(pages)} pages in the sidebar, {words} words outside the engineering archive.\n")
     return [

@@ -77,6 +77,14 @@ def test_the_limits_are_those_of_the_population():
     assert f"{held} on random drives" in limits
 
 
+def test_the_limits_are_those_of_the_robustness():
+    page = (ROOT / "docs" / "engineering" / "robustness.md").read_text("utf-8")
+    errors = re.findall(r"^\| [^|]+ \| ([\d.]+) / ([\d.]+) \|", page, re.MULTILINE)
+    small, fair = (sum(max(float(d), float(q)) <= most for d, q in errors) for most in (0.05, 0.1))
+    limits = " ".join((ROOT / "docs" / "limits.md").read_text("utf-8").split())
+    assert f"at most 0.05 % in {small} of {len(errors)} cases, 0.1 % in {fair}" in limits
+
+
 def test_the_reference_holds_all_public_names():
     text = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     assert set(re.findall(r":: drive_id\.(\w+)$", text, re.MULTILINE)) == set(drive_id.__all__)

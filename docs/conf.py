@@ -21,7 +21,7 @@ html_title = f"drive_id {version}"
 html_show_sourcelink = False
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
-html_js_files = [("tables.js", {"defer": "defer"})]
+html_js_files = [("site.js", {"defer": "defer"})]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "substitution"]
 myst_heading_anchors = 3

@@ -26,3 +26,9 @@ document.querySelectorAll(".content table").forEach((table) => {
   (table.closest(".table-wrapper") || table).before(filter, count);
   show();
 });
+// What theme and notebooks leave out: the level of captions, names of folded cells that match, pictures that scroll by keys.
+document.querySelectorAll("p.caption[role=heading]").forEach((caption) => caption.setAttribute("aria-level", "2"));
+document.querySelectorAll("summary[aria-label]").forEach((summary) => summary.removeAttribute("aria-label"));
+document.querySelectorAll(".content p:has(> img)").forEach((picture) => {
+  if (picture.scrollWidth > picture.clientWidth) picture.tabIndex = 0;
+});

@@ -1,6 +1,6 @@
 """Errors of methods ``joint`` and ``full`` on simulated drives, compared with the goals.
 
-Usage: python benchmarks/accuracy.py [--only BLOCK,...] [--machines FOLDER] [--output docs/accuracy.md]
+Usage: python benchmarks/accuracy.py [--only BLOCK,...] [--machines FOLDER] [--output docs/engineering/accuracy.md]
 
 The blocks are speeds, machines, inverters, motion, faults, ideal, prediction and files; the last one needs the files
 ``baldor_meas_map.npz`` and ``thor_fem_harmonic_map.npz`` in FOLDER. The figures do not depend on the computer.
@@ -26,7 +26,7 @@ from drive_id.fitting.simulated import load_machine, run_experiment
 
 METHODS = ("joint", "full")
 SECONDS, SEEDS = 10.0, 3
-COLUMNS = ("Drive", "Method", "psi_d", "psi_q", "R", "Inverter curve", "MAD i_d", "MAD i_q")
+COLUMNS = ("Drive", "Method", "psi_d", "psi_q", "R", "Inverter curve", "Mean error i_d", "Mean error i_q")
 NOISY = SimulationSettings(current_noise=2e-3)
 """10 kHz, 500 rpm, harmonics 6 and 12, dead time, noise of 0.2 % of i_max."""
 FAULTS = replace(NOISY, resolver_offset=math.radians(1.0), voltage_delay=1.0, current_gain=(1.004, 1.0, 0.998))
@@ -100,9 +100,9 @@ def blocks() -> dict[str, Block]:
         "inverters": Block(
             "Other inverters",
             "The `ipm` at 500 rpm; without an inverter or with a compensated one, the curve error is relative to 1 % "
-            "of the DC link. The last drive has neither noise nor harmonics, so its MAD need not be less than that of "
-            "`joint`: the remaining error comes from compensation with outdated currents, which is fitted, but not "
-            "simulated.",
+            "of the DC link. The last drive has neither noise nor harmonics, so its mean errors need not be less than "
+            "those of `joint`: the remaining error comes from compensation with outdated currents, which is fitted, "
+            "but not simulated.",
             (
                 Case("ipm, tanh", "ipm", (replace(NOISY, inverter="tanh"),)),
                 Case("ipm, dead time and devices", "ipm", (replace(NOISY, inverter="two_stage"),)),
@@ -210,7 +210,7 @@ def prediction() -> Iterator[str]:
         f"The noise of the measured currents accounts for {_noise(machine.i_max):.2f} A."
     )
     yield ""
-    yield "| Predicted | Method | MAD i_d | MAD i_q |"
+    yield "| Predicted | Method | Mean error i_d | Mean error i_q |"
     yield "|---|---|---:|---:|"
     for number, speed in enumerate(PREDICTED_AT):
         unseen = run_experiment(machine, at(speed, seed=10 + number), None, SECONDS / 2)
@@ -236,10 +236,10 @@ def page(wanted: list[str], folder: Path | None) -> Iterator[str]:
         f"over {SEEDS} seeds of the noise. Flux errors are NRMSE over the map points with data within the disc. A",
         "linear part of the inverter curve counts as resistance: the slope r of the true curve at large currents is",
         "subtracted from the curve and added to the true R. The curve error is the root mean square over all",
-        "currents, relative to the largest true value. MAD is that of the current simulated in open loop over the",
-        "whole recording.",
+        "currents, relative to the largest true value. Mean errors are mean absolute deviations of the currents that",
+        "the fit simulates in open loop from the measured ones (the paper's MAD), over the whole recording.",
         "",
-        "Goals for `full`: fluxes 0.1 %, R 1 % (0.5 % from several speeds), curve 2 %, MAD a third of that of",
+        "Goals for `full`: fluxes 0.1 %, R 1 % (0.5 % from several speeds), curve 2 %, mean errors a third of those of",
         "`joint`, unless stated otherwise; values that miss the goal, or are worse than `joint`, are **bold**.",
         "",
     )

@@ -4,7 +4,7 @@ Usage: python benchmarks/analysis.py [--machines FOLDER] [--seeds N] [--only NAM
 
 Each drive is simulated for 10 s at 500 rpm with noise of 0.1 % of i_max, and fitted with default settings. FOLDER holds
 machine files that are not part of this repository, ``thor_fem_harmonic_map.npz`` and ``baldor_meas_map.npz``.
-``--write`` puts the figures into docs/analysis.md. They do not depend on the computer.
+``--write`` puts the figures into docs/engineering/control_measured.md. They do not depend on the computer.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ COLUMNS = (
     "Machine", "Largest torque error", "Rms torque error", "Largest MTPA angle error", "Torque coverage",
     "L_dd coverage", "L_qq coverage", "L_dq coverage", "MTPA angle coverage",
 )  # fmt: skip
-PAGE = Path(__file__).parent.parent / "docs" / "analysis.md"
+PAGE = Path(__file__).parent.parent / "docs" / "engineering" / "control_measured.md"
 _STEP = 1e-3
 _SCAN = np.deg2rad(0.05)
 
@@ -160,7 +160,7 @@ def main() -> None:
     parser.add_argument("--machines", type=Path, help="folder with the machine files")
     parser.add_argument("--seeds", type=int, default=SEEDS, help="repetitions with different noise")
     parser.add_argument("--only", default="", help="names of drives, separated by commas")
-    parser.add_argument("--write", action="store_true", help="write docs/analysis.md")
+    parser.add_argument("--write", action="store_true", help="write docs/engineering/control_measured.md")
     options = parser.parse_args()
     table = printed(lines(options))
     if options.write:

@@ -1,4 +1,4 @@
-"""Endurance: hours of streaming, many requests, killed nodes. Prints the tables of docs/reliability.md.
+"""Endurance: hours of streaming, many requests, killed nodes. Prints the tables of docs/engineering/reliability.md.
 
     python benchmarks/endurance.py                               everything, in a few minutes
     python benchmarks/endurance.py --only soak --method joint --hours 8 --minutes 15

@@ -21,7 +21,7 @@ from drive_id.exchange.exports.exporting import content_of
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.fitting.result import Identification
 
-_PAGE = Path(__file__).parent.parent / "docs" / "exchange.md"
+_PAGE = Path(__file__).parent.parent / "docs" / "engineering" / "control_measured.md"
 _POINTS = 21
 _FLAGS = ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-std=c99", "-Os"]
 _CALLS = 64
@@ -41,7 +41,7 @@ FUNCTIONS = {
 def main() -> None:
     """Print the table, and write it if wanted."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="write the table into docs/exchange.md")
+    parser.add_argument("--write", action="store_true", help="write it into docs/engineering/control_measured.md")
     text = measured(_example())
     if parser.parse_args().write:
         write_between(_PAGE, "benchmarks/firmware.py", text)

@@ -3,8 +3,9 @@
 Usage: python benchmarks/flashed.py [--draws N] [--write]
 
 The margins are those of six machines at 20 000 currents each, by the compiled header; ``--write`` puts them into
-docs/exchange.md. With ``--draws``, the standard errors of ``analyze`` for a fit of 10 s are printed over the scatter of
-as many analyses of drives that differ by random amounts of all causes of error at once; each takes a second or more.
+docs/engineering/control_measured.md. With ``--draws``, the standard errors of ``analyze`` for a fit of 10 s are printed
+over the scatter of as many analyses of drives that differ by random amounts of all causes of error; each takes a
+second or more.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from drive_id.fitting.simulated import load_machine, run_experiment
 MACHINES = ("ipm", "spm", "pmsyrm")
 SMALL = AnalysisSettings(current_points=3, torque_points=1, speed_points=7)
 ROOT = Path(__file__).parent.parent
-DOCS = ROOT / "docs"
+PAGE = ROOT / "docs" / "engineering" / "control_measured.md"
 sys.path.insert(0, str(ROOT / "test" / "support"))  # machines, compiler and drives that err, which tests use as well
 
 
@@ -70,11 +71,11 @@ def main() -> None:
     """Measure, print and, with ``--write``, update the pages."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--draws", type=int, default=0, help="drives that err, of each machine; 0: none")
-    parser.add_argument("--write", action="store_true", help="write the margins into docs/exchange.md")
+    parser.add_argument("--write", action="store_true", help="write them into docs/engineering/control_measured.md")
     options = parser.parse_args()
     margin = printed(margins())
     if options.write:
-        write_between(DOCS / "exchange.md", "benchmarks/flashed.py, margins", margin)
+        write_between(PAGE, "benchmarks/flashed.py, margins", margin)
     if options.draws:
         printed(scatter(options.draws))
 

@@ -33,7 +33,7 @@ SPEED_MAX, FLYWHEEL = 1500.0, 750.0  # rpm
 SECONDS = {"ipm": 20.0, "spm": 40.0, "pmsyrm": 40.0}
 """Of a swing. In 20 s, 0.1 % of current noise leaves ψ_q of spm uncertain by 0.035 to 0.045 % (one standard error), and
 ψ_d of pmsyrm, whose shaft reaches half of the speed, was wrong by 0.023 to 0.052 % in five records."""
-SHARE = 0.9  # of the drive's current_limit for i_max, as docs/free_shaft.md advises
+SHARE = 0.9  # of the drive's current_limit for i_max, as docs/special_cases.md advises
 _RPM = 2 * math.pi / 60
 HEAD = "| live | error of ψ_d / ψ_q | R (z) | bands | J (z) | largest speed, current | warnings |"
 

@@ -56,7 +56,7 @@ def section(repeats: int) -> Section:
     ]
     text = (
         f"Time until `Ready` is logged, and memory {_REST:g} s later; baseline: a node of rclpy that does nothing. "
-        "With live fits,\n`identification` takes more: [Memory](nodes.md#memory)."
+        "With live fits,\n`identification` takes more: [Memory](../nodes.md#memory)."
     )
     return Section("Nodes", text, tuple(rows))
 

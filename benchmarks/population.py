@@ -1,8 +1,8 @@
 """Fit a population of random drives by several methods, and say which results are wrong, silent or blamed on others.
 
 Usage: python benchmarks/population.py [--count 300] [--seed 1] [--only NUMBER ...] [--methods full,joint] [--jobs 1]
-           [--samples-cache FOLDER] [--output out/population.json] [--page docs/population.md] [--fresh OTHER.json]
-           [--against OLD.json]
+           [--samples-cache FOLDER] [--output out/population.json]
+           [--page docs/engineering/population.md] [--fresh OTHER.json] [--against OLD.json]
 
 A drive depends on its seed and number alone. The output holds one line per drive and is continued when it exists.
 """

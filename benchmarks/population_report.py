@@ -1,4 +1,4 @@
-"""The page docs/population.md: quantiles by family and effect, verdicts, the worst drives, and those that got worse."""
+"""docs/engineering/population.md: quantiles by family and effect, verdicts, the worst drives, those that got worse."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def page(rows: Sequence[Row], methods: Sequence[str], verdicts: Verdicts, comman
         "pole pairs, up to 3500 rpm, so slow that the current's ripple by the switching is at most a fifth of i_max.",
         "Half of the drives have no effect besides noise, inverter, rotor harmonics and",
         "ripple of the speed, three tenths have one effect, the others two or three, all at common magnitudes and",
-        f"acting in the simulated machine. *Well posed* are {len(good)}, whose effects [limits.md](limits.md) counts",
+        f"acting in the simulated machine. *Well posed* are {len(good)}, whose effects [limits](../limits.md) counts",
         "as identifiable. Flux errors are the larger NRMSE of the two fluxes over the map points with data, % of the",
         "largest true value; R: absolute error, %; band: share of points within their 95 % intervals; CPU: median, s.",
         'One drive alone: `make population ARGS="--only 17"`.',

@@ -4,7 +4,7 @@
 
 The reference shares no code with drive_id.analysis: scipy's splines of degree 5 through the same tables, a bounded
 scalar search for MTPA, SLSQP from many starts for MTPV and the envelope. ``--write`` puts the table into the page
-docs/analysis.md.
+docs/engineering/control_measured.md.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from drive_id.analysis.trajectories import mtpa, mtpv
 from drive_id.fitting.result import Identification
 from drive_id.types import FloatArray, MachineMap
 
-_PAGE = Path(__file__).parent.parent / "docs" / "analysis.md"
+_PAGE = Path(__file__).parent.parent / "docs" / "engineering" / "control_measured.md"
 _RADIUS, _STEP, _PAIRS, _RESISTANCE, _LINK = 15.0, 0.75, 3, 0.45, 320.0
 _STARTS = 12
 _FIGURES = ("Torque", "L inside", "L at the border", "MTPA", "MTPV", "Envelope", "Inverse")
@@ -199,7 +199,7 @@ def _envelope(model: MachineModel, reference: Reference) -> float:
 def main() -> None:
     """Print the table, and write it if wanted."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="write the table into docs/analysis.md")
+    parser.add_argument("--write", action="store_true", help="write it into docs/engineering/control_measured.md")
     wanted = parser.parse_args()
     lines = [f"| Machine | {' | '.join(_FIGURES)} |", "|---|" + "---:|" * len(_FIGURES)]
     for name, (result, table) in machines().items():

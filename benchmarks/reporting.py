@@ -1,4 +1,4 @@
-"""Rows of ratios: on the terminal, and in docs/performance.md with the data of the machine."""
+"""Rows of ratios: on the terminal, and in docs/engineering/performance.md with the data of the machine."""
 
 from __future__ import annotations
 

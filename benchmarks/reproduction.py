@@ -92,8 +92,8 @@ class Reproduction:
         """Lay out the paper's three tables, with the method ``full`` as a third row."""
         return [
             _table("NRMSE of flux maps in simulation", self.select("simulation"), "psi", "NRMSE", _nrmse),
-            _table("MAD of current in simulation", self.select("simulation"), "i", "MAD", _mad),
-            _table("MAD of current at the emulated test bench", self.select("bench"), "i", "MAD", _mad),
+            _table("Mean error of simulated currents (MAD), simulation", self.select("simulation"), "i", "error", _mad),
+            _table("Mean error of simulated currents (MAD), emulated bench", self.select("bench"), "i", "error", _mad),
         ]
 
     def claims(self) -> list[str]:

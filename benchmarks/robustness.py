@@ -1,6 +1,7 @@
 """Errors of method ``full`` on drives with real effects, and its reports.
 
-Usage: python benchmarks/robustness.py [--only EFFECT,...] [--machines ipm,spm,pmsyrm] [--output docs/robustness.md]
+Usage: python benchmarks/robustness.py [--only EFFECT,...] [--machines ipm,spm,pmsyrm]
+           [--output docs/engineering/robustness.md]
 
 All effects on the ipm, at one speed and at two, some of them on the other machines. The figures are the same on any
 computer.
@@ -272,8 +273,8 @@ def _shortened(sentence: str) -> str:
 LEGEND = """\
 ## Columns and conditions
 
-Written by `python benchmarks/robustness.py --output docs/robustness.md`: 10 s at 10 kHz, 0.1 % current noise, an
-inverter with dead time, the default trajectory and the default settings.
+Written by `python benchmarks/robustness.py --output docs/engineering/robustness.md`: 10 s at 10 kHz, 0.1 %
+current noise, an inverter with dead time, the default trajectory and the default settings.
 
 | column | meaning |
 |---|---|

@@ -22,7 +22,7 @@ import streams
 from reporting import Section, machine, show, write
 from rich.console import Console
 
-PAGE = Path(__file__).parent.parent / "docs" / "performance.md"
+PAGE = Path(__file__).parent.parent / "docs" / "engineering" / "performance.md"
 LENGTHS, QUICK = [10.0, 60.0, 600.0], [1.0]
 """Of the recordings whose growth of time and memory is measured, s; the second or only one is the baseline."""
 HOUR = 3600.0
@@ -65,7 +65,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3, help="runs of which the best counts")
     parser.add_argument("--bags", type=Path, help="keep the recordings in this folder, and take those that are there")
     parser.add_argument(
-        "--output", type=Path, help="page to write; by default docs/performance.md, if all was measured"
+        "--output", type=Path, help="page to write; by default docs/engineering/performance.md, if all was measured"
     )
     options = parser.parse_args()
     console = Console(width=150)

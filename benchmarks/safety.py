@@ -1,6 +1,6 @@
 """Reaction times of trajectory publisher and simulated drive to trouble, and random scripts of it.
 
-    python benchmarks/safety.py                          the table of docs/safety.md, ten times each hazard
+    python benchmarks/safety.py                          each hazard of docs/engineering/safety_measured.md ten times
     python benchmarks/safety.py --rounds 0 --scripts 200 --seed 1
     python benchmarks/safety.py --rounds 0 --scripts 200 --seed 1 --replay 41     ten times script 41 of these, alone
 
@@ -502,7 +502,7 @@ def script(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> list[s
 
 
 def section(rounds: int) -> Section:
-    """Run every hazard several times; the longest time counts, against the one that docs/safety.md states."""
+    """Run every hazard several times; the longest time counts, against the stated one."""
     with tempfile.TemporaryDirectory() as folder, Graph(Path(folder)) as graph:
         cell = Cell(graph)
         measured = {name: [react(cell, name) for _ in range(rounds)] for name in HAZARDS}
@@ -512,8 +512,8 @@ def section(rounds: int) -> Section:
     ]
     text = (
         f"Time from the cause to zero measured current at {I_MAX:g} A, longest of {rounds}; 0.00 means that nothing\n"
-        "was measured any more. What detects it, and what is done: [Hazards](safety.md#hazards). Ten times each:\n"
-        "`make safety`."
+        "was measured any more. What detects it, and what is done: [Hazards](safety_measured.md#hazards).\n"
+        "Ten times each: `make safety`."
     )
     text += "".join(f"\n- Finding: {finding}" for finding in cell.findings)
     return Section("Reaction times", text, tuple(rows))

@@ -4,9 +4,9 @@
     python benchmarks/uncertainty.py --seeds 20 --slow-angle
 
 Prints the share of intervals of ±1.96 σ that contain the truth: of the fluxes at all map points with data within 97 %
-of the disc, of the resistance, and of the inverter curve. ``--write`` puts the table into docs/coverage.md.
+of the disc, of the resistance, and of the inverter curve. ``--write`` puts the table into docs/engineering/coverage.md.
 ``--slow-angle`` prints the rms of error over standard error for drives whose speed ripples, with the angle recorded at
-every sample, every 10th and every 20th (docs/logs.md).
+every sample, every 10th and every 20th (docs/engineering/logs_measured.md).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ RIPPLES = {
 }  # fmt: skip
 """Drives whose speed ripples; the last at nearly half the rate of an angle at every 20th sample."""
 SECONDS = 4.0
-DOCUMENT = Path(__file__).parent.parent / "docs" / "coverage.md"
+DOCUMENT = Path(__file__).parent.parent / "docs" / "engineering" / "coverage.md"
 
 
 def with_slow_angle(samples: Samples, every: int) -> Samples:
@@ -132,8 +132,8 @@ def main() -> None:
         text = (
             "# Coverage of the standard errors\n\n"
             f"Empirical coverage of nominal 95 % intervals (±{BAND} σ) over {arguments.seeds} repetitions of "
-            f"{SECONDS:g} s with different noise (0.2 % of i_max): all map points within {100 * WITHIN:.0f} % of "
-            "the disc, the resistance, and the inverter curve above a tenth of i_max. Produced by "
+            f"{SECONDS:g} s with different noise (0.2 % of i_max). Counted are all map points within "
+            f"{100 * WITHIN:.0f} % of the disc, and the inverter curve above a tenth of i_max. Produced by "
             f"`python benchmarks/uncertainty.py --seeds {arguments.seeds} --write`.\n\n"
         )
         DOCUMENT.write_text(text + "\n".join(lines) + "\n", encoding="utf-8")

@@ -3,7 +3,7 @@
 Usage: python benchmarks/verification.py [--seeds 4] [--write]
 
 A map from 10 s at 500 rpm is judged by 8 s at 700 rpm, with other noise (0.1 % of i_max). ``--write`` puts the figures
-into docs/verification.md. They do not depend on the computer.
+into docs/engineering/verification_measured.md. They do not depend on the computer.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from drive_id.fitting.simulated import load_machine, run_experiment
 MACHINES = ("ipm", "spm", "pmsyrm")
 MAP, OTHER = SimulationSettings(current_noise=1e-3), SimulationSettings(current_noise=1e-3, speeds=(700.0,))
 CASES = {"the same": OTHER, "magnet 5 K warmer, 0.5 % weaker": replace(OTHER, magnet_temperature=25.0)}
-PAGE = Path(__file__).parent.parent / "docs" / "verification.md"
+PAGE = Path(__file__).parent.parent / "docs" / "engineering" / "verification_measured.md"
 
 
 def rows(seeds: int) -> Iterator[str]:
@@ -49,7 +49,7 @@ def main() -> None:
     """Measure, print and, with ``--write``, update the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=4, help="pairs of recordings of each machine")
-    parser.add_argument("--write", action="store_true", help="write docs/verification.md")
+    parser.add_argument("--write", action="store_true", help="write docs/engineering/verification_measured.md")
     options = parser.parse_args()
     table = printed(rows(options.seeds))
     if options.write:

@@ -21,6 +21,7 @@ html_title = f"drive_id {version}"
 html_show_sourcelink = False
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+html_js_files = [("site.js", {"defer": "defer"})]
 
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "substitution"]
 myst_heading_anchors = 3
@@ -36,8 +37,8 @@ if missing:
         f"This page was not executed when this documentation was built, because {' and '.join(missing)} "
         "could not be imported: `make docs` installs both."
     )
-    nb_execution_excludepatterns = ["tutorials/live.md"]
-    sys.stderr.write(f"docs/tutorials/live.md: {live}\n")
+    nb_execution_excludepatterns = ["live.md"]
+    sys.stderr.write(f"docs/live.md: {live}\n")
 myst_substitutions = {"live": live}
 
 autodoc_member_order = "bysource"

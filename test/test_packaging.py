@@ -166,7 +166,7 @@ def test_no_library_is_known_in_one_place_only(metadata, manifest):
 
 
 def test_the_release_page_says_what_rosdep_cannot_install(metadata):
-    page = (ROOT / "docs" / "release.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "engineering" / "release.md").read_text(encoding="utf-8")
     unknown = {distribution for distribution, key in LIBRARIES.values() if key is None}
     wanted = [f'"{text}"' for text in metadata["install_requires"] if re.match(r"[\w.-]+", text)[0] in unknown]
     assert f"    pip install {' '.join(wanted)}\n" in page

@@ -22,7 +22,7 @@ from drive_id.exchange.exports.options import ExportOptions
 from drive_id.files.write.writer import write_recording
 
 WRITES = ("--output", "-o", "--draft")
-BY_FULL = ("README.md", "free_shaft.md", "temperatures.md")
+BY_FULL = ("README.md", "special_cases.md")
 """Pages that fit by the default method, which takes longest; the others take the same path by ``joint``."""
 WITH_REPORT = ("README.md", "report.md")
 """Pages whose fits draw a report, as others ask for it, too."""
@@ -77,7 +77,7 @@ MAKE = {
     "population ARGS='--seed 2'": "--count 1 --methods joint --jobs 1 --output old.json",  # more: test_population.py
     "population ARGS='--count 300 --seed 1'": "--help",
     "population ARGS='--only 17'": "--help",
-    "population ARGS='--page docs/population.md --jobs 2'": "--help",
+    "population ARGS='--page docs/engineering/population.md --jobs 2'": "--help",
     "population ARGS='--against old.json'": "--help",
     "fuzz": "--count 1 --seed 0 --bombs fifo --kinds mcap,mcap_plain,mcap_nocrc,mcap_packed,sqlite,sample_mcap",
     "fuzz ARGS='--seconds 300'": "--count 1 --seed 0 --kinds sample_sqlite,metadata,information,machine,result,signals",
@@ -112,7 +112,7 @@ MAKE_ELSEWHERE = {
     "clean": "would remove the environment that runs this",
 }  # fmt: skip
 _IN_FLIGHT = "at most five messages of a killed node may be under way, which holds at the pace of an idle machine"
-_STATED = "the times of docs/safety.md hold on a machine that does nothing else; test_safety.py allows for more"
+_STATED = "the stated times hold on a machine that does nothing else; test_safety.py allows for more"
 ALONE = {
     "safety": _STATED,
     "safety ARGS='--rounds 5'": _STATED,
@@ -214,10 +214,10 @@ def furniture(bag, fitted, tmp_path_factory):
         text = re.sub(rf"\b{ours}\b", theirs, text, count=1)
     (folder / "map.csv").write_text(text, encoding="utf-8")
     shutil.copy(ROOT / "config" / "signals_default.yaml", folder / "my_signals.yaml")
-    page = (ROOT / "docs" / "verification.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "report.md").read_text(encoding="utf-8")
     (limits,) = re.findall(r"^    (flux: .*?)\n\n", page, re.MULTILINE | re.DOTALL)
     (folder / "limits.yaml").write_text(re.sub("^ +", "", limits, flags=re.MULTILINE), encoding="utf-8")
-    page = (ROOT / "docs" / "slow_logs.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
     (slow,) = re.findall(r"^    (defaults: .*?)\n\n", page, re.MULTILINE | re.DOTALL)
     (folder / "slow.yaml").write_text(re.sub("^ +", "", slow, flags=re.MULTILINE), encoding="utf-8")
     rng = np.random.default_rng(12)
@@ -239,7 +239,7 @@ def test_the_commands_of_a_page_run(page, furniture, tmp_path, monkeypatch):
     folder = tmp_path / "run"
     shutil.copytree(furniture, folder)
     monkeypatch.chdir(folder)
-    if page.name == "archive.md":  # whose days are results
+    if page.name == "report.md":  # whose days are results
         for name in ("monday", "tuesday", "wednesday"):
             shutil.rmtree(name)
             shutil.copytree("my_drive", name)

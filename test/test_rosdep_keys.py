@@ -53,7 +53,7 @@ def test_the_page_names_keys_of_the_package(index, monkeypatch, capsys):
     names = runpy.run_path(str(TOOL))["keys"]()
     assert {"rclpy", "ament_cmake", "python3-numpy"} <= set(names)
     assert "drive_id_msgs" not in names
-    page = (TOOL.parent.parent / "docs" / "release.md").read_text(encoding="utf-8")
+    page = (TOOL.parent.parent / "docs" / "engineering" / "release.md").read_text(encoding="utf-8")
     rows = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
     assert set(rows) < set(names)
     assert f"Of the {len(names)} keys in both `package.xml` files, {len(names) - len(rows)} are packages" in page

@@ -1,7 +1,12 @@
-"""Check a built site: links, anchors and pictures exist, pictures have a text, nothing is loaded from the network."""
+"""Check a built site: links and pictures, no loading from the network, and how much there is to read.
+
+Links, anchors and pictures exist, and pictures have a text. The sidebar holds at most 18 pages; all sources but those
+of the engineering archive hold at most 30 000 words.
+"""
 
 from __future__ import annotations
 
+import re
 import sys
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
@@ -10,6 +15,8 @@ from urllib.parse import unquote, urlsplit
 
 _REFERENCES = {"a": "href", "img": "src", "link": "href", "script": "src", "source": "srcset"}
 _OURS = {"img", "link", "script", "source"}  # loaded with the page, so that they must not lie in the network
+_PAGES, _WORDS = 18, 30_000
+_ARCHIVE = {"engineering", "adr"}
 
 
 @dataclass
@@ -63,9 +70,31 @@ def findings(site: Path) -> list[str]:
     return found
 
 
+def excess(site: Path) -> list[str]:
+    """Return a sentence if the sidebar has too many pages, and one if there are too many words outside the archive."""
+    sidebar = (
+        (site / "index.html").read_text(encoding="utf-8").partition('class="sidebar-tree"')[2].partition("</aside>")[0]
+    )
+    pages = set(re.findall(r'href="([^"#]+)"', sidebar))
+    sources = [
+        file for file in (site / "_sources").rglob("*.md.txt") if _ARCHIVE.isdisjoint(file.relative_to(site).parts)
+    ]
+    words = sum(len(file.read_text(encoding="utf-8").split()) for file in sources)
+    sys.stdout.write(f"{len(pages)} pages in the sidebar, {words} words outside the engineering archive.\n")
+    return [
+        f"There are {count} {what}, more than {most}: merge or move some into the engineering archive."
+        for count, most, what in (
+            (len(pages), _PAGES, "pages in the sidebar"),
+            (words, _WORDS, "words outside the archive"),
+        )
+        if count > most or not count
+    ]
+
+
 def main() -> None:
     """Print what is wrong, and fail if anything is."""
-    found = findings(Path(sys.argv[1]))
+    site = Path(sys.argv[1])
+    found = findings(site) + excess(site)
     sys.stderr.writelines(f"{sentence}\n" for sentence in found)
     raise SystemExit(bool(found))
 

@@ -87,7 +87,7 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
         raise ConfigurationError(
             f"Nothing in {contents.path} looks like {' or '.join(missing)}{_blank(contents)}: write the signals file "
             "by hand, from config/signals_example_stranger.yaml or signals_example_columns.yaml, or without an angle "
-            "for a slow log in d and q, as in docs/slow_logs.md."
+            "for a slow log in d and q, as in docs/logs.md."
         )
     choice = _chosen(currents, voltages, angles, tables)
     if choice is None:

@@ -74,7 +74,7 @@ def propose(contents: Contents) -> Draft:
 def _draft(contents: Contents, remark: str, body: list[str], unsure: list[str], *, static: bool = False) -> Draft:
     head = [
         f"# Signals file proposed for {printable(contents.path.name)}.",
-        "# docs/signals_file.md explains every setting.",
+        "# docs/logs.md explains every setting.",
         f"# {remark}",
         *([f"# NOT SURE: {sentence}" for sentence in unsure] or ["# Nothing is left open."]),
     ]

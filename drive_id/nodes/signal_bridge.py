@@ -26,7 +26,7 @@ class SignalBridge(ManagedNode):
         super().__init__("signal_bridge")
         settings = declare_settings(self, BridgeSettings, read_only=BridgeSettings.__dataclass_fields__)
         if not settings.signals:
-            raise ConfigurationError("The parameter signals is empty: name a signals file, see docs/signals_file.md.")
+            raise ConfigurationError("The parameter signals is empty: name a signals file, see docs/logs.md.")
         self._translator = Translator(read_signals(Path(settings.signals).expanduser()))
         self._signals = SignalPublishers(self, settings.frame_id)
         self._depth = settings.queue_depth

@@ -28,7 +28,7 @@ from drive_id.inspection.names import name_groups, suggests
 from drive_id.types import Samples
 
 POLE_PAIRS = 4
-CHECKS = Path(__file__).parents[2] / "docs" / "checks.md"
+CHECKS = Path(__file__).parents[2] / "docs" / "findings.md"
 
 
 @pytest.fixture(scope="module")
@@ -174,8 +174,8 @@ def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples, long):
 
 
 def test_every_finding_of_the_documented_table_is_tried():
-    """Each row of docs/checks.md, but for those on files and drafts, has a case above."""
-    documented = set(re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", CHECKS.read_text(encoding="utf-8"), re.MULTILINE))
+    """Each row of docs/findings.md, but for those on files and drafts, has a case above."""
+    documented = set(re.findall(r"^\| ((?:`\w+`(?:, )?)+) \| check", CHECKS.read_text(encoding="utf-8"), re.MULTILINE))
     codes = {code for cell in documented for code in re.findall(r"\w+", cell)}
     assert len(codes) > 35
     assert codes - {code for code, _ in WRONG.values()} == {"memory", "draft_unsure", "no_draft"}

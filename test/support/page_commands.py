@@ -10,7 +10,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
     page
-    for page in (*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").rglob("*.md"))
+    for pattern in ("*.md", "docs/*.md", "docs/engineering/*.md", "examples/**/*.md")
+    for page in ROOT.glob(pattern)
     if page.name != "CHANGELOG.md"
 )
 PROGRAMS = {

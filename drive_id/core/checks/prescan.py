@@ -168,7 +168,7 @@ class Prescan:
         CoverageError
             When the references stand still, or a step of the current from sample to sample is as large as its range.
         DataError
-            For all other findings that are errors; ``docs/checks.md`` lists them.
+            For all other findings that are errors; ``docs/findings.md`` lists them.
         """
         found = self.findings(method)
         for finding in found:

@@ -52,7 +52,7 @@ _RPM = 30 / math.pi  # of 1 rad/s
 _CREEP = 60.0 / _RPM  # usual speed of creeping, mechanical, rad/s
 _EXPECTED = ((10.0, 0.05, 0.1), (30.0, 0.06, 0.2), (math.inf, 0.1, 0.5))
 """Up to a frequency of the swing, Hz: error of the flux and of the inertia, percent, that no simulated drive of
-docs/free_shaft.md exceeded."""
+docs/engineering/free_shaft_measured.md exceeded."""
 
 
 @dataclass(frozen=True)

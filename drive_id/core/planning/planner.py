@@ -118,11 +118,12 @@ class Plan:
                 f"The {what} separate R from a rotation of the map: even without reciprocity, R is determined "
                 f"to {free:.2g} %, and so is a delay of the voltages."
             )
-        sentences.append(
-            "No experiment of this kind separates the linear part of the inverter's voltage error from R, an angle "
-            "offset from a rotated map, or a common gain of voltages or currents from a gain of the flux."
-        )
-        return sentences
+        return [
+            *sentences,
+            "Cannot be separated: the linear part of the inverter's voltage error, from R.",
+            "Cannot be separated: an angle offset, from a rotated map.",
+            "Cannot be separated: a common gain of voltages or currents, from a gain of the flux.",
+        ]
 
     def warnings(self) -> list[str]:
         """Say what is not as wanted."""

@@ -1,6 +1,6 @@
 """Where the signals of a drive are in a log: topics and fields of a bag, or columns of another file.
 
-``docs/signals_file.md`` lists every field; ``tools/signals_schema.py`` derives the JSON schema from these classes.
+``docs/logs.md`` lists every field; ``tools/signals_schema.py`` derives the JSON schema from these classes.
 """
 
 from __future__ import annotations

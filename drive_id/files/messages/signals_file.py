@@ -1,6 +1,6 @@
 """Signals files: which topics and fields of a bag, or columns of another log, hold the signals of a drive.
 
-The defaults describe the messages of ``drive_id_msgs``. ``docs/signals_file.md`` lists every field.
+The defaults describe the messages of ``drive_id_msgs``. ``docs/logs.md`` lists every field.
 """
 
 from __future__ import annotations

@@ -85,9 +85,15 @@ def test_an_unknown_key_is_named_with_its_nearest_neighbour(old, new, said):
 
 
 def test_the_reference_page_and_the_examples_name_every_setting():
-    page = (ROOT / "docs" / "signals_file.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
     examples = "".join(path.read_text(encoding="utf-8") for path in SHIPPED)
     for kind in (PhaseSource, RotorSource, ReferenceSource, ScalarSource):
         for item in dataclasses.fields(kind):
             assert f"| `{item.name}` |" in page, item.name
             assert re.search(rf"\b{item.name}: ", examples), item.name
+
+
+def test_the_annotated_draft_of_the_page_can_be_read():
+    page = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
+    (draft,) = re.findall(r"^```yaml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    assert parse_signals(draft, "logs.md").resolver.pole_pairs == 4

@@ -41,7 +41,7 @@ class FitSettings(Checked):
     )  # fmt: skip
     longest_rest: float = setting(
         0.02,
-        "samples after a longer rest below 2 % of i_max are left out: there the steep foot of the inverter's curve "
+        "samples after a longer rest below 2 % of i_max are left out: there the steep slope of the inverter's curve "
         "turns current noise into voltage",
         unit="s", minimum=0.0, maximum=1e6,
     )  # fmt: skip
@@ -94,7 +94,7 @@ class FitSettings(Checked):
     )
     rated_current: float | None = setting(
         None,
-        "full: rated current, amplitude, at which the answer tells inductances and torque; default, and from 95 % of "
+        "full: rated current, amplitude, at which inductances and torque are reported; default, and from 95 % of "
         "i_max on: near i_max",
         unit="A", minimum=1e-3, maximum=1e6,
     )  # fmt: skip

@@ -31,7 +31,7 @@ SHORT_ANGLE = np.deg2rad(25.0)
 LONGEST_WINDOW = 0.1
 """Limit at low speed, where 60 degrees would take longer, s."""
 WINDOW_CURRENT = 1.3
-"""Way of the current in a window, rotor frame, in i_max: fast changes of the current are integrated less accurately."""
+"""Current excursion within a window, rotor frame, in i_max: fast changes are integrated less accurately."""
 STRIDE = 0.8e-3
 """Mean distance between the starts of windows, s."""
 SHIFTS = (-4, -3, -2, -1, 0, 1, 2, 3)

@@ -47,7 +47,7 @@ class Parameters:
     inverter_current: FloatArray  # (C,), A
     inverter_voltage: FloatArray  # (C,), drop of one phase at these currents, V
     model: FluxModel | None = None
-    """With gamma, the flux map as the function that was fitted; None when read from files."""
+    """With gamma, the flux map as the fine spline that the current is simulated with; None when read from files."""
     gamma: FloatArray | None = None  # (P,), coefficients, Wb
     sigma_inverter_voltage: FloatArray | None = None  # (C,), V, where it was estimated for each current
     phase_voltages: FloatArray | None = None  # (C, 3), drop of each phase, V, when each has a curve of its own

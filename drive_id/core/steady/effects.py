@@ -32,8 +32,8 @@ def effect_columns(effect: Effect, points: OperatingPoints, basis: FluxBasis, ga
     """Return the voltages of an effect at the points.
 
     Iron loss: eddy currents ``i_e = omega J psi / R_c`` flow beside those of the windings, so the flux belongs to
-    ``i - i_e``, and ``-omega^2 J L J psi / R_c`` adds to the voltage; the coefficient is 1 / R_c. Delay: the angle of
-    the voltages' frame is behind by omega times the coefficient, s. Asymmetry: psi_q at zero current and L_dq.
+    ``i - i_e``, and ``-omega^2 J L J psi / R_c`` adds to the voltage; the coefficient is 1 / R_c. Delay: the dq frame
+    of the voltages lags by omega times the coefficient, s. Asymmetry: psi_q at zero current and L_dq.
 
     Parameters
     ----------

@@ -254,7 +254,7 @@ def test_settings_that_shape_the_sums_forget_the_samples(samples):
     with pytest.raises(ConfigurationError, match="i_max is not set"):
         live.snapshot()
     assert live.configure(SETTINGS)
-    feed(live, samples, 0, 3000)
+    feed(live, samples, 0, 5000)
     assert not live.configure(replace(SETTINGS, method="psm"))
     assert live.snapshot().conclude().drive.method == "psm"
     assert live.configure(replace(SETTINGS, splines_d=9))

@@ -93,7 +93,7 @@ def test_what_is_not_given_does_not_hide_the_parameter_files(monkeypatch):
     bench = Launched("bench.launch.py", monkeypatch)
     assert bench.own(bench.nodes()["bench_simulator"]) == {}
     nodes = Launched("identification.launch.py", monkeypatch)
-    assert [nodes.own(node) for node in nodes.nodes().values()] == [{}, {}, {}]
+    assert [nodes.own(node) for node in nodes.nodes().values()] == [{}, {}, {}, {}]
     assert not any(node.respawn for node in nodes.nodes().values())
 
 
@@ -107,7 +107,7 @@ def test_what_is_given_prevails(monkeypatch):
     assert launched.own(nodes["identification"]) == {"use_sim_time": True, "i_max": 300.0}
     supervision = {"speed_max": 400.0, "require_status": False}
     assert launched.own(nodes["trajectory_publisher"]) == {"use_sim_time": True, "i_max": 300.0} | supervision
-    assert {name for name, node in nodes.items() if node.respawn} == {"recorder", "identification"}
+    assert {name for name, node in nodes.items() if node.respawn} == {"recorder", "identification", "experiment"}
 
 
 def test_folders_lifecycle_and_log_level_are_arguments(monkeypatch):
@@ -123,7 +123,7 @@ def test_folders_lifecycle_and_log_level_are_arguments(monkeypatch):
         option, level = node.ros_arguments
         assert (option, level.perform(launched.context)) == ("--log-level", "debug")
     launched = Launched("identification.launch.py", monkeypatch, autostart="false")
-    assert [launched.own(node) for node in launched.nodes().values()] == [{"autostart": False}] * 3
+    assert [launched.own(node) for node in launched.nodes().values()] == [{"autostart": False}] * 3 + [{}]
 
 
 def test_the_bridge_or_the_identification_reads_the_signals_file(monkeypatch):

@@ -203,7 +203,7 @@ class TrajectoryPublisher(ManagedNode):
         now, steady = self._now(), time.monotonic()
         report = self._experiment.report(now, steady)
         reason = report.reason if self.active else self.inactive()
-        shown = (report.state, _FIGURE.sub("", reason), report.dry_run, self.active)
+        shown = (report.state, _FIGURE.sub("", reason), report.dry_run, report.session, report.completed, self.active)
         runs = report.state not in {ExperimentState.IDLE, ExperimentState.TRIPPED}
         if shown == self._published_state and not (runs and steady >= self._state_due):
             return

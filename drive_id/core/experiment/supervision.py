@@ -51,6 +51,7 @@ class Report:
     mean_speed: float = math.nan  # of a free shaft, electrical, rad/s
     mean_speed_reference: float = math.nan
     bias: float = math.nan  # mean of i_q relative to its amplitude
+    completed: bool = False  # the last run reached its end: nothing stopped or tripped it
 
 
 def rehearse(settings: ExperimentSettings) -> None:
@@ -272,10 +273,12 @@ class SupervisedExperiment:
         i_dq, state = experiment.current(now), experiment.state(now)
         elapsed = experiment.elapsed(now)
         feedback = experiment.feedback
-        shaft = () if feedback is None else (feedback.mean.value, feedback.reference, feedback.bias)
+        shaft = (math.nan,) * 3 if feedback is None else (feedback.mean.value, feedback.reference, feedback.bias)
+        completed = state is ExperimentState.IDLE and experiment.session > 0 and not experiment.stop_reason
         return Report(
-            state, reason, experiment.session, elapsed, self._duration, i_dq, experiment.coverage, self._dry_run, *shaft
-        )
+            state, reason, experiment.session, elapsed, self._duration, i_dq, experiment.coverage, self._dry_run,
+            *shaft, completed,
+        )  # fmt: skip
 
     def health(self, now: int, steady: float) -> Health:
         """Return state, time, set-point and coverage."""

@@ -1,0 +1,238 @@
+"""The action ``~/experiment`` with all nodes and a simulated drive: every goal ends with its code, at zero current."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ros_bench import require_ros, ros_bench
+
+from drive_id.fitting.sources import read_bag
+
+NODES = "drive_id.nodes."
+NAME = "/experiment/experiment"
+SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/msg/GoalStatus
+I_MAX = 60.0
+ENDED = 20.0
+"""Time within which a goal ends that is cancelled, trips or is refused, s: 15 s, and some for a busy computer."""
+PUBLISHER = {
+    "i_max": I_MAX, "frequency_d": 7.3, "frequency_q": 2.3, "duration": 1.5, "slew_rate": 2e4, "lead_time": 1.0,
+    "watch_timeout": 30.0, "clock_offset": 30.0, "follow_band": 30.0,
+}  # fmt: skip
+"""A short experiment, patient enough for a busy machine."""
+
+
+class Goal:
+    """A goal, its feedback and its result."""
+
+    def __init__(self, suite, client=None, **fields):
+        from drive_id_msgs.action import Experiment
+
+        self.ros, self.feedback, self.times = suite.ros, [], []
+        client = client or suite.client
+        self.ros.wait(client.server_is_ready, "the action server")
+        self.begun = time.monotonic()
+        sent = client.send_goal_async(Experiment.Goal(**fields), feedback_callback=self._heard)
+        self.ros.wait(sent.done, "the acceptance of a goal")
+        self.handle = sent.result()
+        assert self.handle.accepted
+        self.future = self.handle.get_result_async()
+
+    def _heard(self, message):
+        self.feedback.append(message.feedback)
+        self.times.append(time.monotonic())
+
+    def wait(self, within=180.0):
+        """Return status and result."""
+        self.ros.wait(self.future.done, f"the result of a goal, {self.feedback[-1:]}", within)
+        return self.future.result().status, self.future.result().result
+
+    def wait_for(self, phase):
+        def there():
+            return self.future.done() or any(entry.phase == phase for entry in self.feedback)
+
+        self.ros.wait(there, f"phase {phase}")
+        assert not self.future.done(), self.future.result().result.message
+
+
+class Suite:
+    """All nodes in the test's process, a client of the action, and what the drive measures and the nodes say."""
+
+    def __init__(self, ros):
+        from drive_id_msgs.action import Experiment
+        from drive_id_msgs.msg import PhaseCurrents, PublisherState
+        from rclpy.action import ActionClient
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from std_msgs.msg import Bool
+
+        self.ros, self.kind = ros, ActionClient
+        self.data = ros.folder / "data"
+        data = {"data_directory": str(self.data)}
+        fit = {"output_directory": str(ros.folder / "results"), "i_max": I_MAX, "refit_share": 0.0, "method": "joint"}
+        self.recorder = ros.host(NODES + "recorder", parameters=data)
+        ros.host(NODES + "identification", parameters=data | fit)
+        ros.host(NODES + "trajectory_publisher", parameters=PUBLISHER)
+        drive = {"machine": "ipm", "i_max": I_MAX, "speeds": [500.0], "current_noise": 0.001, "ramp_time": 0.2}
+        ros.host(NODES + "bench_simulator", parameters=drive)
+        ros.host("drive_id.ros.experiment", parameters={"timeout": 40.0, "speed_time": 20.0})
+        self.client = ActionClient(ros.node, Experiment, NAME)
+        self.currents, self.states = [], []
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.button = ros.node.create_publisher(Bool, "emergency_stop", latched)
+        ros.node.create_subscription(
+            PhaseCurrents, "phase_currents", lambda m: self.currents.append(np.abs(m.a).max()), 1000
+        )
+        ros.node.create_subscription(PublisherState, "/trajectory_publisher/state", self.states.append, latched)
+
+    def at_zero(self):
+        return max(self.currents[-20:], default=0.0) < 0.05 * I_MAX
+
+    def clear(self):
+        from drive_id_msgs.srv import Command
+
+        def cleared():
+            return self.ros.call(Command, "/trajectory_publisher/clear_fault").success
+
+        self.ros.wait(cleared, "a cleared fault")
+
+    def press(self, pressed):
+        from std_msgs.msg import Bool
+
+        self.button.publish(Bool(data=pressed))
+
+    def set_speed(self, rpm):
+        from rcl_interfaces.srv import SetParameters
+        from rclpy.parameter import Parameter
+
+        given = [Parameter("speeds", value=[rpm]).to_parameter_msg()]
+        assert self.ros.call(SetParameters, "/bench_simulator/set_parameters", parameters=given).results[0].successful
+
+
+@pytest.fixture(scope="module")
+def suite():
+    require_ros()
+    with ros_bench() as bench:
+        yield Suite(bench)
+
+
+@pytest.mark.essential
+@pytest.mark.slow  # a whole experiment in real time
+def test_a_goal_records_and_identifies_and_tells_how_far_it_is(suite):
+    goal = Goal(
+        suite, name="whole", i_max=50.0, duration=2.0, serial="0017", operator_name="Ann", trajectory="lissajous"
+    )
+    status, result = goal.wait()
+    assert (status, result.success, result.code) == (SUCCEEDED, True, "ok"), result.message
+    assert result.bags == [str(suite.data / "whole")]
+    assert result.dropped == 0
+    assert result.duration > 2.0
+    assert result.session == suite.states[-1].session
+    peak = np.abs(read_bag(Path(result.bags[0])).i_abc).max()
+    assert 45.0 < peak < 55.0, "the goal's radius, not the node's"
+    found = result.flux_map
+    assert (found.i_max, found.method) == (50.0, "joint")
+    assert result.report.coverage > 0.5
+    phases = list(dict.fromkeys(entry.phase for entry in goal.feedback))
+    assert phases == [each for each in ("waiting", "trajectory", "stopping", "identifying") if each in phases]
+    assert {"waiting", "trajectory"} <= set(phases)
+    shares = [entry.share for entry in goal.feedback]
+    assert shares == sorted(shares)
+    assert any(1.0 < entry.elapsed < entry.duration == 2.0 for entry in goal.feedback)
+    assert np.median(np.diff(goal.times)) == pytest.approx(0.5, abs=0.15)
+    assert all(math.isnan(entry.resistance) for entry in goal.feedback), "no fits in the background here"
+    suite.ros.wait(suite.at_zero, "zero current")
+
+
+@pytest.mark.slow  # an experiment in real time
+def test_a_cancelled_goal_ramps_to_zero_and_keeps_the_bag(suite):
+    goal = Goal(suite, name="cancelled", duration=60.0)
+    goal.wait_for("trajectory")
+    suite.ros.wait(lambda: not suite.at_zero(), "current")
+    other = Goal(suite)
+    assert other.wait(ENDED)[1].code == "busy"
+    goal.handle.cancel_goal_async()
+    status, result = goal.wait(ENDED)
+    assert (status, result.success, result.code) == (CANCELED, False, "cancelled"), result.message
+    assert suite.at_zero()
+    assert (suite.states[-1].state, suite.states[-1].completed) == ("idle", False)
+    assert result.bags == [str(suite.data / "cancelled")]
+    samples = read_bag(Path(result.bags[0]))
+    assert np.abs(samples.i_abc[-100:]).max() < 0.05 * I_MAX, "the ramp is in the bag"
+    assert not result.output
+
+
+@pytest.mark.slow  # an experiment in real time
+def test_a_trip_and_a_latched_one_end_a_goal(suite):
+    goal = Goal(suite, name="tripped", duration=60.0)
+    goal.wait_for("trajectory")
+    suite.ros.wait(lambda: not suite.at_zero(), "current")
+    suite.press(True)
+    status, result = goal.wait(ENDED)
+    assert (status, result.code) == (ABORTED, "tripped"), result.message
+    assert "emergency stop" in result.message
+    assert read_bag(Path(result.bags[0])) is not None
+    suite.press(False)
+    latched = Goal(suite)
+    assert latched.wait(ENDED)[1].code == "tripped"
+    suite.clear()
+    suite.ros.wait(suite.at_zero, "zero current")
+
+
+@pytest.mark.slow  # an experiment in real time
+def test_half_an_experiment_is_not_ok(suite):
+    from drive_id_msgs.srv import Command
+
+    goal = Goal(suite, name="half", duration=60.0, method="none")
+    goal.wait_for("trajectory")
+    suite.ros.wait(lambda: not suite.at_zero(), "current")
+    assert suite.ros.call(Command, "/trajectory_publisher/stop_experiment").success
+    status, result = goal.wait(ENDED)
+    assert (status, result.code) == (ABORTED, "stopped"), result.message
+    assert result.bags
+
+
+@pytest.mark.slow  # an experiment in real time
+def test_goals_whose_client_is_gone_or_sends_no_heartbeats_end(suite):
+    from drive_id_msgs.action import Experiment
+
+    client = suite.kind(suite.ros.node, Experiment, NAME)
+    lost = Goal(suite, client, name="lost", duration=60.0)
+    lost.wait_for("trajectory")
+    suite.ros.wait(lambda: not suite.at_zero(), "current")
+    client.destroy()
+    suite.ros.wait(lambda: suite.states[-1].state == "idle", "the end of a goal without a client", ENDED)
+    suite.ros.wait(suite.at_zero, "zero current")
+    silent = Goal(suite, duration=60.0, lease_time=2.0)
+    assert silent.wait(ENDED + 2.0)[1].code == "no_heartbeat"
+
+
+def test_goals_that_are_not_possible_are_refused(suite):
+    for code, fields in (
+        ("limit", {"i_max": 2 * I_MAX}),
+        ("configuration", {"trajectory": "zigzag"}),
+        ("configuration", {"name": "../elsewhere"}),
+        ("limit", {"i_max": math.inf}),
+    ):
+        status, result = Goal(suite, **fields).wait(ENDED)
+        assert (status, result.code, result.output) == (ABORTED, code, ""), result.message
+
+
+@pytest.mark.slow  # two experiments in real time
+def test_a_trajectory_at_each_speed_in_order(suite):
+    speeds = [rpm * 4 * 2 * math.pi / 60 for rpm in (300.0, 400.0)]  # 4 pole pairs
+    goal = Goal(suite, name="speeds", speeds=speeds, method="none")
+    for rpm, speed in zip((300.0, 400.0), speeds, strict=True):
+        suite.ros.wait(lambda s=speed: any(f"for {s:.1f} rad/s" in f.waits_for for f in goal.feedback), "the wait")
+        suite.set_speed(rpm)
+    status, result = goal.wait()
+    assert (status, result.code) == (SUCCEEDED, "ok"), result.message
+    assert [Path(bag).name for bag in result.bags] == ["speeds_1", "speeds_2"]
+    for bag, speed in zip(result.bags, speeds, strict=True):
+        assert np.median(read_bag(Path(bag)).speed) == pytest.approx(speed, rel=0.02)
+    never = Goal(suite, speeds=[1e4])
+    never.wait_for("waiting")
+    never.handle.cancel_goal_async()
+    assert never.wait(ENDED)[1].code == "cancelled"

@@ -2,8 +2,8 @@
 
 ``ros2 launch drive_id identification.launch.py namespace:=drive_1 i_max:=200.0``. ``i_max`` and ``use_sim_time`` apply
 to all nodes that have them and take precedence over the parameter files. Topics are remapped for all nodes with
-``ros2 launch ... phase_currents:=/inverter/currents``. With ``respawn:=true``, all but the trajectory publisher are started
-again if they die; the trajectory publisher never is: find out why it ended before you start another trajectory.
+``ros2 launch ... phase_currents:=/inverter/currents``. With ``respawn:=true``, all nodes but the
+trajectory publisher are started again if they die: find out why that ended before you start another trajectory.
 With ``bridge:=true signals:=FILE``, the signal bridge publishes a bench's own topics as ours; with ``signals`` alone,
 the identification node reads them itself, and the recorder needs them in ``extra_topics``.
 """
@@ -40,7 +40,7 @@ OWN = {
 TOPICS = (
     "current_reference", "phase_currents", "phase_voltages", "resolver", "drive_status", "emergency_stop",
     "dc_link_voltage", "winding_temperature", "magnet_temperature", "shaft_torque", "flux_map", "flux_map_points",
-    "operating_point",
+    "fit_report", "operating_point",
 )  # fmt: skip
 
 

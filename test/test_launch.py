@@ -161,4 +161,6 @@ def test_the_topics_are_those_that_the_nodes_use(monkeypatch):
     launched = Launched("identification.launch.py", monkeypatch)
     assert set(launched.module.TOPICS) == {name for name in used if "/" not in name and name[0] != "~"}
     bench = set(Launched("bench.launch.py", monkeypatch).module.TOPICS)
-    assert bench == set(launched.module.TOPICS) - {"emergency_stop", "flux_map", "flux_map_points", "operating_point"}
+    assert bench == set(launched.module.TOPICS) - {
+        "emergency_stop", "fit_report", "flux_map", "flux_map_points", "operating_point",
+    }  # fmt: skip

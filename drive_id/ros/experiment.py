@@ -52,7 +52,7 @@ class ConductingSettings(Checked):
 
 
 @dataclass(frozen=True, eq=False)
-class _Outcome(Reply):
+class _Conducted(Reply):
     """The reply to a goal: what was recorded, and the result of ``Identify`` if there is one."""
 
     recording: Recording | None = None
@@ -117,7 +117,7 @@ class ExperimentNode(Node):
                 reply = Reply("internal", "The experiment failed by an error of drive_id itself: report it.")
             said = conductor.stop()
             message = " ".join(filter(None, (reply.message, *said)))
-            return _Outcome(reply.code, message, recording=conductor.recorded, identified=found)
+            return _Conducted(reply.code, message, recording=conductor.recorded, identified=found)
 
     def _feedback(self, stage: Stage) -> Any:
         step = self._step
@@ -131,7 +131,7 @@ class ExperimentNode(Node):
 
     def _said(self, response: Any, reply: Reply) -> Any:
         response.success, response.code, response.message = reply.success, reply.code, reply.message
-        if isinstance(reply, _Outcome) and reply.recording is not None:
+        if isinstance(reply, _Conducted) and reply.recording is not None:
             response.bags = list(reply.recording.uris)
             for name in ("samples", "dropped", "duration", "session"):
                 setattr(response, name, getattr(reply.recording, name))

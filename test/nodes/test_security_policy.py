@@ -17,7 +17,10 @@ FROM_TIME = {"/clock", "/parameter_events"}
 @pytest.fixture(scope="module")
 def ros():
     require_ros()
+    from drive_id_msgs.msg import DriveStatus
+
     with ros_bench() as bench:
+        bench.node.create_publisher(DriveStatus, "drive_status", 1)  # else nobody records it
         for name in NODES:
             parameters = {"data_directory": str(bench.folder)} if name in {"recorder", "identification"} else {}
             if name == "identification":

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ros_bench import require_ros, ros_bench
 
+from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.sources import read_bag
 
 NODES = "drive_id.nodes."
@@ -28,11 +31,10 @@ PUBLISHER = {
 class Goal:
     """A goal, its feedback and its result."""
 
-    def __init__(self, suite, client=None, **fields):
+    def __init__(self, suite, client, **fields):
         from drive_id_msgs.action import Experiment
 
         self.ros, self.feedback, self.times = suite.ros, [], []
-        client = client or suite.client
         self.ros.wait(client.server_is_ready, "the action server")
         self.begun = time.monotonic()
         sent = client.send_goal_async(Experiment.Goal(**fields), feedback_callback=self._heard)
@@ -62,8 +64,7 @@ class Suite:
     """All nodes in the test's process, a client of the action, and what the drive measures and the nodes say."""
 
     def __init__(self, ros):
-        from drive_id_msgs.action import Experiment
-        from drive_id_msgs.msg import PhaseCurrents, PublisherState
+        from drive_id_msgs.msg import FitReport, PhaseCurrents, PublisherState, RecorderState
         from rclpy.action import ActionClient
         from rclpy.qos import DurabilityPolicy, QoSProfile
         from std_msgs.msg import Bool
@@ -77,15 +78,30 @@ class Suite:
         ros.host(NODES + "trajectory_publisher", parameters=PUBLISHER)
         drive = {"machine": "ipm", "i_max": I_MAX, "speeds": [500.0], "current_noise": 0.001, "ramp_time": 0.2}
         ros.host(NODES + "bench_simulator", parameters=drive)
-        ros.host("drive_id.ros.experiment", parameters={"timeout": 40.0, "speed_time": 20.0})
-        self.client = ActionClient(ros.node, Experiment, NAME)
-        self.currents, self.states = [], []
+        self.experiment = ros.host("drive_id.ros.experiment", parameters={"timeout": 40.0, "speed_time": 20.0})
+        self.currents, self.states, self.recordings, self.reports = [], [], [], []
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.button = ros.node.create_publisher(Bool, "emergency_stop", latched)
         ros.node.create_subscription(
             PhaseCurrents, "phase_currents", lambda m: self.currents.append(np.abs(m.a).max()), 1000
         )
         ros.node.create_subscription(PublisherState, "/trajectory_publisher/state", self.states.append, latched)
+        ros.node.create_subscription(RecorderState, "/recorder/state", self.recordings.append, latched)
+        ros.node.create_subscription(FitReport, "/fit_report", self.reports.append, latched)
+
+    @contextmanager
+    def connected(self):
+        """Give a client of the action, which is gone afterwards."""
+        from drive_id_msgs.action import Experiment
+
+        client = self.kind(self.ros.node, Experiment, NAME)
+        try:
+            yield client
+        finally:
+            client.destroy()
+
+    def recording(self):
+        return self.recordings[-1]
 
     def at_zero(self):
         return max(self.currents[-20:], default=0.0) < 0.05 * I_MAX
@@ -118,13 +134,18 @@ def suite():
         yield Suite(bench)
 
 
+@pytest.fixture
+def goal(suite):
+    """A function that sends a goal."""
+    with suite.connected() as client:
+        yield partial(Goal, suite, client)
+
+
 @pytest.mark.essential
 @pytest.mark.slow  # a whole experiment in real time
-def test_a_goal_records_and_identifies_and_tells_how_far_it_is(suite):
-    goal = Goal(
-        suite, name="whole", i_max=50.0, duration=2.0, serial="0017", operator_name="Ann", trajectory="lissajous"
-    )
-    status, result = goal.wait()
+def test_a_goal_records_and_identifies_and_tells_how_far_it_is(suite, goal):
+    ran = goal(name="whole", i_max=50.0, duration=2.0, serial="0017", operator_name="Ann", trajectory="lissajous")
+    status, result = ran.wait()
     assert (status, result.success, result.code) == (SUCCEEDED, True, "ok"), result.message
     assert result.bags == [str(suite.data / "whole")]
     assert result.dropped == 0
@@ -135,26 +156,67 @@ def test_a_goal_records_and_identifies_and_tells_how_far_it_is(suite):
     found = result.flux_map
     assert (found.i_max, found.method) == (50.0, "joint")
     assert result.report.coverage > 0.5
-    phases = list(dict.fromkeys(entry.phase for entry in goal.feedback))
+    phases = list(dict.fromkeys(entry.phase for entry in ran.feedback))
     assert phases == [each for each in ("waiting", "trajectory", "stopping", "identifying") if each in phases]
     assert {"waiting", "trajectory"} <= set(phases)
-    shares = [entry.share for entry in goal.feedback]
+    shares = [entry.share for entry in ran.feedback]
     assert shares == sorted(shares)
-    assert any(1.0 < entry.elapsed < entry.duration == 2.0 for entry in goal.feedback)
-    assert np.median(np.diff(goal.times)) == pytest.approx(0.5, abs=0.15)
-    assert all(math.isnan(entry.resistance) for entry in goal.feedback), "no fits in the background here"
+    assert any(1.0 < entry.elapsed < entry.duration == 2.0 for entry in ran.feedback)
+    assert np.median(np.diff(ran.times)) == pytest.approx(0.5, abs=0.15)
+    assert all(math.isnan(entry.resistance) for entry in ran.feedback), "no fits in the background here"
     suite.ros.wait(suite.at_zero, "zero current")
+    known = (found.serial, list(found.recordings), found.session, found.folder)
+    assert known == ("0017", list(result.bags), result.session, result.output)
+    suite.ros.wait(lambda: suite.reports, "the report")
+    report = suite.reports[-1]
+    assert (report.folder, report.stamp, report.mad_d) == (result.output, found.header.stamp, result.report.mad_d)
+    results_can_be_asked_for(suite, result)
+    with open_bag(Path(result.bags[0])) as bag:
+        assert {"/drive_status", "/trajectory_publisher/state"} <= set(bag.topics)
+    suite.ros.wait(lambda: suite.recording().state == "idle", "the end of the recording")
+    state = suite.recording()
+    assert (state.uri, state.samples, state.dropped, state.restarts) == (result.bags[0], result.samples, 0, 0)
+    assert state.bytes > 1e5
+    assert state.free_space > 1e6
+    assert {each.state for each in suite.recordings} >= {"recording", "idle"}
+
+
+def results_can_be_asked_for(suite, result):
+    from drive_id_msgs.srv import GetResult, ListRecordings, ListResults
+
+    asked = partial(suite.ros.call, GetResult, "/identification/get_result")
+    for fields in ({}, {"serial": "0017"}, {"folder": result.output}, {"folder": Path(result.output).name}):
+        again = asked(**fields)
+        assert (again.success, again.output) == (True, result.output), again.message
+        assert again.flux_map.header == result.flux_map.header
+        assert again.flux_map.psi_d == result.flux_map.psi_d
+        assert (again.flux_map.session, again.flux_map.recordings) == (result.session, result.bags)
+        assert (again.report.samples_used, again.report.stamp) == (result.report.samples_used, result.report.stamp)
+    assert asked(serial="0018").code == "result"
+    assert asked(folder="/etc").code == "configuration"
+    listed = suite.ros.call(ListResults, "/identification/list_results", serial="0017")
+    assert (listed.success, listed.total) == (True, 1)
+    (info,) = listed.results
+    assert (info.folder, info.operator_name, info.method) == (result.output, "Ann", "joint")
+    assert (info.session, info.recordings, info.i_max) == (result.session, result.bags, 50.0)
+    assert info.resistance == pytest.approx(result.flux_map.resistance)
+    assert suite.ros.call(ListResults, "/identification/list_results", machine="other").total == 0
+    recordings = suite.ros.call(ListRecordings, "/recorder/list_recordings", name="whole")
+    (recording,) = recordings.recordings
+    assert (recording.name, recording.uri, recording.error) == ("whole", result.bags[0], "")
+    assert recording.duration == pytest.approx(result.duration, abs=0.5)
+    assert recording.messages > 100
 
 
 @pytest.mark.slow  # an experiment in real time
-def test_a_cancelled_goal_ramps_to_zero_and_keeps_the_bag(suite):
-    goal = Goal(suite, name="cancelled", duration=60.0)
-    goal.wait_for("trajectory")
+def test_a_cancelled_goal_ramps_to_zero_and_keeps_the_bag(suite, goal):
+    ran = goal(name="cancelled", duration=60.0)
+    ran.wait_for("trajectory")
     suite.ros.wait(lambda: not suite.at_zero(), "current")
-    other = Goal(suite)
+    other = goal()
     assert other.wait(ENDED)[1].code == "busy"
-    goal.handle.cancel_goal_async()
-    status, result = goal.wait(ENDED)
+    ran.handle.cancel_goal_async()
+    status, result = ran.wait(ENDED)
     assert (status, result.success, result.code) == (CANCELED, False, "cancelled"), result.message
     assert suite.at_zero()
     assert (suite.states[-1].state, suite.states[-1].completed) == ("idle", False)
@@ -165,74 +227,73 @@ def test_a_cancelled_goal_ramps_to_zero_and_keeps_the_bag(suite):
 
 
 @pytest.mark.slow  # an experiment in real time
-def test_a_trip_and_a_latched_one_end_a_goal(suite):
-    goal = Goal(suite, name="tripped", duration=60.0)
-    goal.wait_for("trajectory")
+def test_a_trip_and_a_latched_one_end_a_goal(suite, goal):
+    ran = goal(name="tripped", duration=60.0)
+    ran.wait_for("trajectory")
     suite.ros.wait(lambda: not suite.at_zero(), "current")
     suite.press(True)
-    status, result = goal.wait(ENDED)
+    status, result = ran.wait(ENDED)
     assert (status, result.code) == (ABORTED, "tripped"), result.message
     assert "emergency stop" in result.message
     assert read_bag(Path(result.bags[0])) is not None
     suite.press(False)
-    latched = Goal(suite)
+    latched = goal()
     assert latched.wait(ENDED)[1].code == "tripped"
     suite.clear()
     suite.ros.wait(suite.at_zero, "zero current")
 
 
 @pytest.mark.slow  # an experiment in real time
-def test_half_an_experiment_is_not_ok(suite):
+def test_half_an_experiment_is_not_ok(suite, goal):
     from drive_id_msgs.srv import Command
 
-    goal = Goal(suite, name="half", duration=60.0, method="none")
-    goal.wait_for("trajectory")
+    ran = goal(name="half", duration=60.0, method="none")
+    ran.wait_for("trajectory")
     suite.ros.wait(lambda: not suite.at_zero(), "current")
     assert suite.ros.call(Command, "/trajectory_publisher/stop_experiment").success
-    status, result = goal.wait(ENDED)
+    status, result = ran.wait(ENDED)
     assert (status, result.code) == (ABORTED, "stopped"), result.message
     assert result.bags
 
 
 @pytest.mark.slow  # an experiment in real time
 def test_goals_whose_client_is_gone_or_sends_no_heartbeats_end(suite):
-    from drive_id_msgs.action import Experiment
-
-    client = suite.kind(suite.ros.node, Experiment, NAME)
-    lost = Goal(suite, client, name="lost", duration=60.0)
-    lost.wait_for("trajectory")
-    suite.ros.wait(lambda: not suite.at_zero(), "current")
-    client.destroy()
+    with suite.connected() as client:
+        lost = Goal(suite, client, name="lost", duration=60.0)
+        lost.wait_for("trajectory")
+        suite.ros.wait(lambda: not suite.at_zero(), "current")
     suite.ros.wait(lambda: suite.states[-1].state == "idle", "the end of a goal without a client", ENDED)
     suite.ros.wait(suite.at_zero, "zero current")
-    silent = Goal(suite, duration=60.0, lease_time=2.0)
-    assert silent.wait(ENDED + 2.0)[1].code == "no_heartbeat"
+    suite.ros.wait(lambda: not suite.experiment.node._requests.busy, "the end of the goal", ENDED)
+    with suite.connected() as client:
+        silent = Goal(suite, client, duration=60.0, lease_time=2.0)
+        assert silent.wait(ENDED + 2.0)[1].code == "no_heartbeat"
 
 
-def test_goals_that_are_not_possible_are_refused(suite):
+def test_goals_that_are_not_possible_are_refused(goal):
     for code, fields in (
         ("limit", {"i_max": 2 * I_MAX}),
         ("configuration", {"trajectory": "zigzag"}),
         ("configuration", {"name": "../elsewhere"}),
-        ("limit", {"i_max": math.inf}),
+        ("configuration", {"i_max": math.inf}),
     ):
-        status, result = Goal(suite, **fields).wait(ENDED)
+        status, result = goal(**fields).wait(ENDED)
         assert (status, result.code, result.output) == (ABORTED, code, ""), result.message
 
 
 @pytest.mark.slow  # two experiments in real time
-def test_a_trajectory_at_each_speed_in_order(suite):
+def test_a_trajectory_at_each_speed_in_order(suite, goal):
     speeds = [rpm * 4 * 2 * math.pi / 60 for rpm in (300.0, 400.0)]  # 4 pole pairs
-    goal = Goal(suite, name="speeds", speeds=speeds, method="none")
+    ran = goal(name="speeds", speeds=speeds, method="none")
     for rpm, speed in zip((300.0, 400.0), speeds, strict=True):
-        suite.ros.wait(lambda s=speed: any(f"for {s:.1f} rad/s" in f.waits_for for f in goal.feedback), "the wait")
+        suite.ros.wait(lambda s=speed: any(f"for {s:.1f} rad/s" in f.waits_for for f in ran.feedback), "the wait")
         suite.set_speed(rpm)
-    status, result = goal.wait()
+    status, result = ran.wait()
     assert (status, result.code) == (SUCCEEDED, "ok"), result.message
     assert [Path(bag).name for bag in result.bags] == ["speeds_1", "speeds_2"]
     for bag, speed in zip(result.bags, speeds, strict=True):
         assert np.median(read_bag(Path(bag)).speed) == pytest.approx(speed, rel=0.02)
-    never = Goal(suite, speeds=[1e4])
+    never = goal(speeds=[1e4])
     never.wait_for("waiting")
     never.handle.cancel_goal_async()
     assert never.wait(ENDED)[1].code == "cancelled"

@@ -108,7 +108,7 @@ class IdentificationNode(ManagedNode):
         if last is not None:
             reply = again(last)
             self._publish(flux_map_message(reply, self._frame_id), fit_report_message(reply))
-            self.get_logger().info(reply.message)
+            self.get_logger().info(f"Published again: {reply.message}")
         return super().on_activate(state)
 
     def rest(self) -> bool:

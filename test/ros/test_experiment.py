@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
+import re
+import signal
+import subprocess
+import sys
 import time
 from contextlib import contextmanager
 from functools import partial
@@ -15,6 +20,7 @@ from ros_bench import require_ros, ros_bench
 from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.sources import read_bag
 
+CLIENT = Path(__file__).parents[2] / "examples" / "experiment_client.py"
 NODES = "drive_id.nodes."
 NAME = "/experiment/experiment"
 SUCCEEDED, CANCELED, ABORTED = 4, 5, 6  # action_msgs/msg/GoalStatus
@@ -297,3 +303,64 @@ def test_a_trajectory_at_each_speed_in_order(suite, goal):
     never.wait_for("waiting")
     never.handle.cancel_goal_async()
     assert never.wait(ENDED)[1].code == "cancelled"
+
+
+class Client:
+    """The client of examples/ as a process."""
+
+    def __init__(self, suite, *arguments):
+        self.ros, self.log = suite.ros, suite.ros.folder / f"client_{time.monotonic_ns()}.log"
+        with self.log.open("w") as stream:
+            self.process = subprocess.Popen(
+                [sys.executable, str(CLIENT), *arguments], stdout=stream, stderr=subprocess.STDOUT,
+                env=suite.ros.environment | {name: os.environ[name] for name in ("ROS_DOMAIN_ID",)},
+            )  # fmt: skip
+
+    def wait_for(self, text):
+        self.ros.wait(lambda: text in self.log.read_text() or self.process.poll() is not None, text)
+        assert text in self.log.read_text()
+
+    def end(self, within=180.0):
+        """Return exit code, and code, bags and folder as they are printed."""
+        self.ros.wait(lambda: self.process.poll() is not None, f"the end of the client {self.log}", within)
+        found = re.search(r"^(\w+): .*\nbags: (.*)\nresult: (.*)$", self.log.read_text(), re.MULTILINE)
+        assert found, self.log.read_text()
+        return self.process.returncode, *found.groups()
+
+
+@pytest.mark.process
+@pytest.mark.slow  # experiments in real time
+def test_the_client_of_the_examples(suite):
+    """Whole, cancelled, tripped, busy, and killed: each time the drive is at zero current afterwards."""
+
+    def at_rest():
+        suite.ros.wait(lambda: not suite.experiment.node._requests.busy, "the end of the goal", 2 * ENDED)
+        suite.ros.wait(suite.at_zero, "zero current")
+
+    whole = Client(suite, "0042", "1.0").end()
+    assert whole[:2] == (0, "ok")
+    assert Path(whole[3], "identification.json").exists()
+    at_rest()
+    cancelled = Client(suite, "0042", "60.0")
+    cancelled.wait_for("trajectory: running")
+    assert Client(suite).end()[:2] == (1, "busy")
+    cancelled.process.send_signal(signal.SIGINT)
+    ended = cancelled.end(ENDED)
+    assert ended[:2] == (1, "cancelled")
+    assert read_bag(Path(ended[2])) is not None
+    at_rest()
+    tripped = Client(suite, "0042", "60.0")
+    tripped.wait_for("trajectory: running")
+    suite.press(True)
+    assert tripped.end(ENDED)[:2] == (1, "tripped")
+    suite.press(False)
+    suite.clear()
+    at_rest()
+    lost = Client(suite, "0042", "60.0")
+    lost.wait_for("trajectory: running")
+    lost.process.kill()
+    lost.process.wait()
+    killed = time.monotonic()
+    suite.ros.wait(lambda: suite.states[-1].state == "idle", "the end of the trajectory", ENDED)
+    assert time.monotonic() - killed < 8.0, "2 s of the lease, the ramp, and set-points ahead"
+    at_rest()

@@ -262,10 +262,16 @@ class Calls:
         """Send a goal and return its result; whatever ends the wait, the goal does not go on."""
         sent = client.send_goal_async(goal, feedback_callback=lambda message: heard(message.feedback))
         result: Any = None
+
+        def over() -> bool:
+            if not result.done() and not client.server_is_ready():
+                raise ExperimentError(f"{complaint()}: it is gone.", "no_answer")
+            return bool(result.done())
+
         try:
             self._wait(sent.done, complaint, doing)
             result = sent.result().get_result_async()
-            self._wait(result.done, complaint, doing, timeout, code="time_limit")
+            self._wait(over, complaint, doing, timeout, code="time_limit")
             return result.result().result
         finally:
             if sent.done() and not (result is not None and result.done()):

@@ -32,7 +32,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from drive_id_msgs.action import Experiment
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState
-from drive_id_msgs.srv import Command, Identify, StartExperiment
+from drive_id_msgs.srv import Command, Identify, StartExperiment, StopRecording
 from node_processes import Graph, NodeProcess
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -62,6 +62,8 @@ _START, _CATCH_UP, _BEHIND = 90.0, 5.0, 0.1
 """Time for a start, and that for a drive to catch up, s, which is started again if it is still so far behind, s."""
 PUBLISHER, DRIVE, LISTENER, RIVAL = "trajectory_publisher", "bench_simulator", "identification", "rival"
 RECORDER, CONDUCTOR = "recorder", "experiment"
+_LINGERS = 22.0
+"""Time for which DDS takes a killed node for alive, s."""
 _GOAL, _PATIENCE = 4.0, 15.0
 """Duration of the trajectory of a goal, and the node's parameter ``timeout``, s."""
 _ENDS = 60.0
@@ -231,7 +233,11 @@ class Cell:
         """Kill the node that conducts."""
         self._end(CONDUCTOR)
 
-    un_kill_conductor = start_conductor
+    def un_kill_conductor(self) -> None:
+        """Start it again, and stop what nobody stops any more; a client finds it when its predecessor is forgotten."""
+        self.start_conductor()
+        self.graph.call(StopRecording, f"/{RECORDER}/stop")
+        self.graph.spin(_LINGERS)
 
     def start_drive(self, machine: str = "ipm", name: str = DRIVE) -> None:
         """Start a drive."""
@@ -508,7 +514,7 @@ def react(cell: Cell, name: str, allowance: float = 0.0) -> float:
 
 def _makes_sense(cell: Cell, hazard: Hazard, done: dict[str, float]) -> bool:
     """Return whether a hazard can happen after what has been done, and when, and is one."""
-    over = [when for name, when in done.items() if HAZARDS[name].act in {"stop", "kill", "suspend"}]
+    over = [when for name, when in done.items() if (HAZARDS | OF_GOALS)[name].act in {"stop", "kill", "suspend"}]
     if hazard.act in {"stop", "press", "suspend", "kill"} and PUBLISHER not in cell.nodes:
         return False
     if (hazard.faults or hazard.act in {"overspeed", "exchange", "double"}) and DRIVE not in cell.nodes:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from experiment_goal import Goal
 from ros_bench import require_ros, ros_bench
 
 from drive_id.files.storage.bag import open_bag
@@ -32,38 +33,6 @@ PUBLISHER = {
     "watch_timeout": 30.0, "clock_offset": 30.0, "follow_band": 30.0,
 }  # fmt: skip
 """A short experiment, patient enough for a busy machine."""
-
-
-class Goal:
-    """A goal, its feedback and its result."""
-
-    def __init__(self, suite, client, **fields):
-        from drive_id_msgs.action import Experiment
-
-        self.ros, self.feedback, self.times = suite.ros, [], []
-        self.ros.wait(client.server_is_ready, "the action server")
-        self.begun = time.monotonic()
-        sent = client.send_goal_async(Experiment.Goal(**fields), feedback_callback=self._heard)
-        self.ros.wait(sent.done, "the acceptance of a goal")
-        self.handle = sent.result()
-        assert self.handle.accepted
-        self.future = self.handle.get_result_async()
-
-    def _heard(self, message):
-        self.feedback.append(message.feedback)
-        self.times.append(time.monotonic())
-
-    def wait(self, within=180.0):
-        """Return status and result."""
-        self.ros.wait(self.future.done, f"the result of a goal, {self.feedback[-1:]}", within)
-        return self.future.result().status, self.future.result().result
-
-    def wait_for(self, phase):
-        def there():
-            return self.future.done() or any(entry.phase == phase for entry in self.feedback)
-
-        self.ros.wait(there, f"phase {phase}")
-        assert not self.future.done(), self.future.result().result.message
 
 
 class Suite:
@@ -144,7 +113,7 @@ def suite():
 def goal(suite):
     """A function that sends a goal."""
     with suite.connected() as client:
-        yield partial(Goal, suite, client)
+        yield partial(Goal, suite.ros, client)
 
 
 @pytest.mark.essential
@@ -265,14 +234,14 @@ def test_half_an_experiment_is_not_ok(suite, goal):
 @pytest.mark.slow  # an experiment in real time
 def test_goals_whose_client_is_gone_or_sends_no_heartbeats_end(suite):
     with suite.connected() as client:
-        lost = Goal(suite, client, name="lost", duration=60.0)
+        lost = Goal(suite.ros, client, name="lost", duration=60.0)
         lost.wait_for("trajectory")
         suite.ros.wait(lambda: not suite.at_zero(), "current")
     suite.ros.wait(lambda: suite.states[-1].state == "idle", "the end of a goal without a client", ENDED)
     suite.ros.wait(suite.at_zero, "zero current")
     suite.ros.wait(lambda: not suite.experiment.node._requests.busy, "the end of the goal", ENDED)
     with suite.connected() as client:
-        silent = Goal(suite, client, duration=60.0, lease_time=2.0)
+        silent = Goal(suite.ros, client, duration=60.0, lease_time=2.0)
         assert silent.wait(ENDED + 2.0)[1].code == "no_heartbeat"
 
 

@@ -29,6 +29,7 @@ EXECUTABLES = [
     "recorder = drive_id.nodes.recorder:main",
     "identification = drive_id.nodes.identification:main",
     "commissioning = drive_id.ros.commissioning:main",
+    "experiment = drive_id.ros.experiment:main",
     "characterize = drive_id.ros.characterize:main",
     "signal_bridge = drive_id.nodes.signal_bridge:main",
     "bench_simulator = drive_id.nodes.bench_simulator:main",

@@ -3,10 +3,13 @@
     python benchmarks/safety.py                          each hazard of docs/engineering/safety_measured.md ten times
     python benchmarks/safety.py --rounds 0 --scripts 200 --seed 1
     python benchmarks/safety.py --rounds 0 --scripts 200 --seed 1 --replay 41     ten times script 41 of these, alone
+    python benchmarks/safety.py --rounds 0 --goals 60         random scripts during goals of the node experiment
 
 Both nodes run as processes with the shipped parameter files, 100 A, without end. What is checked is what the drive
 measures: never above the limit, and zero within the stated time after each stop, trip, death or intruder. In scripts,
-the node identification listens as well: it must not make one map of two drives. Times are those of the drive's samples
+the node identification listens as well: it must not make one map of two drives. With ``--goals``, the trouble comes
+before, during and after the trajectory of a goal: it must end with a code in time, its bags must be readable, and one
+that is ``ok`` must be whole. Times are those of the drive's samples
 by their count, however late its process gets to publish them, or this one to read: on a busy computer the simulated
 drive is held up, and then makes and publishes within moments what it has missed. No clock that is set wrong changes
 that count. The exit code is 1 if there is a finding.
@@ -27,14 +30,18 @@ from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from drive_id_msgs.action import Experiment
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState
-from drive_id_msgs.srv import Command, Identify, StartExperiment
+from drive_id_msgs.srv import Command, Identify, StartExperiment, StopRecording
 from node_processes import Graph, NodeProcess
 from rcl_interfaces.srv import SetParameters
+from rclpy.action import ActionClient
 from rclpy.parameter import Parameter
+from rclpy.serialization import deserialize_message
 from reporting import Row, Section
 from std_msgs.msg import Bool, Empty
 
+from drive_id.files.storage.bag import open_bag
 from drive_id.nodes.support.qos import LATCHED, STREAM
 
 CONFIG = Path(__file__).parent.parent / "config"
@@ -54,6 +61,14 @@ _REPLAYS = 10
 _START, _CATCH_UP, _BEHIND = 90.0, 5.0, 0.1
 """Time for a start, and that for a drive to catch up, s, which is started again if it is still so far behind, s."""
 PUBLISHER, DRIVE, LISTENER, RIVAL = "trajectory_publisher", "bench_simulator", "identification", "rival"
+RECORDER, CONDUCTOR = "recorder", "experiment"
+_LINGERS = 22.0
+"""Time for which DDS takes a killed node for alive, s."""
+_GOAL, _PATIENCE = 4.0, 15.0
+"""Duration of the trajectory of a goal, and the node's parameter ``timeout``, s."""
+_ENDS = 60.0
+"""Time within which a goal ends after its first trouble, s: the trajectory to its end and ``timeout`` (19 s), a node
+that was killed is noticed (20 s), and 15 s for the stop."""
 SERVICES = {"start_experiment": StartExperiment, "stop_experiment": Command, "clear_fault": Command}
 
 
@@ -104,6 +119,14 @@ HAZARDS = {
     "drive exchanged": Hazard(0.9, act="exchange", reason=" "),
     "second drive": Hazard(0.5, act="double", reason=" "),
 }
+OF_GOALS = {
+    "goal cancelled": Hazard(0.5, act="cancel"),
+    "recorder killed": Hazard(_GOAL + _PATIENCE, act="kill_recorder"),
+    "identification killed": Hazard(_GOAL + _PATIENCE, act="kill_listener"),
+    "experiment killed": Hazard(2.4, act="kill_conductor"),
+    "client dies (lease)": Hazard(2.4, act="die"),
+}
+"""What can go wrong with goals besides."""
 ANOTHER = {"drive restarts", "drive exchanged", "second drive"}
 """Hazards after which the samples are of two drives, or may be."""
 BY_CHANCE = {"loss": 0.3, "disorder": 0.3}
@@ -146,7 +169,7 @@ class Cell:
         node.create_subscription(PublisherState, f"/{PUBLISHER}/state", self._on_state, LATCHED)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.estop = node.create_publisher(Bool, "/emergency_stop", LATCHED)
-        self.heartbeat = node.create_publisher(Empty, f"/{PUBLISHER}/heartbeat", 1)
+        self.heartbeat = self._own_beat = node.create_publisher(Empty, f"/{PUBLISHER}/heartbeat", 1)
         node.create_timer(0.2, lambda: self.leased and self.heartbeat.publish(Empty()))
         self.nodes: dict[str, NodeProcess] = {}
         self.start_drive()
@@ -156,7 +179,65 @@ class Cell:
         """Start the node identification, whose maps are to be of one drive."""
         given = ["-p", "i_max:=100.0", "-p", "method:=joint", "-p", "refit_share:=0.0"]
         given += ["-p", f"output_directory:={self.graph.folder / 'maps'}"]
+        given += ["-p", f"data_directory:={self.graph.folder / 'data'}"]
         self.nodes[LISTENER] = self._ready([f"drive_id.nodes.{LISTENER}", "--ros-args", *given])
+
+    def start_nodes(self) -> None:
+        """Start what a goal needs besides."""
+        self._goals = ActionClient(self.graph.node, Experiment, f"/{CONDUCTOR}/{CONDUCTOR}")
+        self._beat_of_goal = self.graph.node.create_publisher(Empty, f"/{CONDUCTOR}/heartbeat", 1)
+        self.start_listener()
+        self.start_recorder()
+        self.start_conductor()
+
+    def start_recorder(self) -> None:
+        """Start the recorder."""
+        given = ["-p", f"data_directory:={self.graph.folder / 'data'}"]
+        self.nodes[RECORDER] = self._ready([f"drive_id.nodes.{RECORDER}", "--ros-args", *given])
+
+    def start_conductor(self) -> None:
+        """Start the node that takes goals."""
+        given = ["-p", f"timeout:={_PATIENCE}"]
+        self.nodes[CONDUCTOR] = self._ready([f"drive_id.ros.{CONDUCTOR}", "--ros-args", *given])
+
+    def send(self) -> Any:
+        """Send a goal and return its handle, None if nobody takes it."""
+        self.feedback: list[Any] = []
+        self.heartbeat = self._beat_of_goal
+        goal = Experiment.Goal(duration=_GOAL, repeat=1, lease_time=2.0)
+        self.graph.wait(self._goals.server_is_ready, _FOUND)
+        sent = self._goals.send_goal_async(goal, feedback_callback=lambda heard: self.feedback.append(heard.feedback))
+        self.graph.wait(sent.done, _FOUND)
+        self.handle: Any = sent.result() if sent.done() else None
+        return self.handle
+
+    def cancel(self) -> None:
+        """Cancel the goal under way."""
+        self.handle.cancel_goal_async()
+
+    def kill_recorder(self) -> None:
+        """Kill the recorder."""
+        self._end(RECORDER)
+
+    un_kill_recorder = start_recorder
+
+    def kill_listener(self) -> None:
+        """Kill the identification."""
+        self._end(LISTENER)
+
+    def un_kill_listener(self) -> None:
+        """Start it again."""
+        self.start_listener()
+
+    def kill_conductor(self) -> None:
+        """Kill the node that conducts."""
+        self._end(CONDUCTOR)
+
+    def un_kill_conductor(self) -> None:
+        """Start it again, and stop what nobody stops any more; a client finds it when its predecessor is forgotten."""
+        self.start_conductor()
+        self.graph.call(StopRecording, f"/{RECORDER}/stop")
+        self.graph.spin(_LINGERS)
 
     def start_drive(self, machine: str = "ipm", name: str = DRIVE) -> None:
         """Start a drive."""
@@ -224,7 +305,7 @@ class Cell:
 
     def begin(self) -> str:
         """Clear faults, start, and wait for current; return what went wrong."""
-        self.leased, self.reason, self.state = True, "", ""
+        self.leased, self.reason, self.state, self.heartbeat = True, "", "", self._own_beat
         self.revive()
         self.call("stop_experiment")  # the first call of a service takes the time to find it
         self.set(DRIVE, loss=0.0)
@@ -433,7 +514,7 @@ def react(cell: Cell, name: str, allowance: float = 0.0) -> float:
 
 def _makes_sense(cell: Cell, hazard: Hazard, done: dict[str, float]) -> bool:
     """Return whether a hazard can happen after what has been done, and when, and is one."""
-    over = [when for name, when in done.items() if HAZARDS[name].act in {"stop", "kill", "suspend"}]
+    over = [when for name, when in done.items() if (HAZARDS | OF_GOALS)[name].act in {"stop", "kill", "suspend"}]
     if hazard.act in {"stop", "press", "suspend", "kill"} and PUBLISHER not in cell.nodes:
         return False
     if (hazard.faults or hazard.act in {"overspeed", "exchange", "double"}) and DRIVE not in cell.nodes:
@@ -501,6 +582,65 @@ def script(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> list[s
     return list(done)
 
 
+def goal(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> str:
+    """Run a random script during a goal; return its hazards and the code of the goal."""
+    rng = random.Random(f"goal {seed} {number}")
+    known = {name: hazard for name, hazard in (HAZARDS | OF_GOALS).items() if not hazard.act.startswith("overspeed")}
+    names = rng.sample(sorted(known), rng.choice((1, 1, 2, 3)))
+    before, phase = len(cell.findings), rng.choice(("waiting", *["trajectory"] * 4, "identifying"))
+    if trouble := cell.begin():
+        return f"{trouble} (not counted)"
+    cell.stop()
+    cell.rested(time.monotonic())
+    cell.peaks.clear()
+    handle = cell.send()
+    if handle is None:
+        cell.findings.append("nobody takes the goal")
+        return ""
+    over = handle.get_result_async()
+    cell.graph.wait(lambda: over.done() or any(each.phase == phase for each in cell.feedback), 30.0)
+    if phase == "trajectory":
+        cell.graph.wait(lambda: over.done() or bool(cell.peaks and cell.peaks[-1][1] > 20.0), 10.0)
+    cell.graph.spin(rng.uniform(0.0, 1.5))
+    since, done = time.monotonic(), dict[str, float]()
+    for name in names:
+        if _makes_sense(cell, known[name], done) and not (known[name].act == "cancel" and CONDUCTOR not in cell.nodes):
+            done[name] = cell.inject(known[name])
+            cell.graph.spin(rng.choice((0.0, 0.02, 0.1, 0.3)))
+    ended = cell.graph.wait(lambda: over.done() or CONDUCTOR not in cell.nodes, _ENDS + allowance)
+    took = time.monotonic() - since
+    result = over.result().result if over.done() else None
+    code = "(killed)" if CONDUCTOR not in cell.nodes else result.code if result is not None else "none"
+    if not ended or not code:
+        cell.findings.append(f"no code within {took:.1f} s, last: {cell.feedback[-1:]}")
+    rest = cell.rested(time.monotonic())
+    if rest > max(known[name].stated for name in done or ["~/stop"]) + allowance:
+        cell.findings.append(f"current flowed for {rest:.2f} s after the end of the goal")
+    cell.findings += [] if result is None else _judged(result)
+    for name in reversed(done):
+        cell.undo(known[name])
+    cell.leased = True
+    cell.graph.spin(QUIET)
+    cell.findings += [text for text in cell.graph.troubles() if text not in cell.findings]
+    cell.findings[before:] = [f"{', '.join(done)}: {finding}" for finding in cell.findings[before:]]
+    return f"{phase}, {', '.join(done)}: {code} after {took:.1f} s"
+
+
+def _judged(result: Any) -> list[str]:
+    """Return what is wrong with the bags of a goal, and with one that is said to be whole."""
+    findings = []
+    for uri in result.bags:
+        with open_bag(Path(uri)) as bag:
+            states = [message.data for message in bag.messages([f"/{PUBLISHER}/state"])]
+            if not sum(1 for _ in bag.messages(bag.topics)):
+                findings.append(f"{uri} is empty")
+        if result.code == "ok" and not (states and deserialize_message(bytes(states[-1]), PublisherState).completed):
+            findings.append(f"ok, but {uri} does not hold the end of the trajectory")
+    if result.code == "ok" and (result.duration < _GOAL or not result.flux_map.inside or not result.output):
+        findings.append(f"ok, but {result.duration:.2f} s were recorded, and the result is in '{result.output}'")
+    return findings
+
+
 def section(rounds: int) -> Section:
     """Run every hazard several times; the longest time counts, against the stated one."""
     with tempfile.TemporaryDirectory() as folder, Graph(Path(folder)) as graph:
@@ -524,6 +664,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=10, help="of each hazard")
     parser.add_argument("--scripts", type=int, default=0, help="random scripts")
+    parser.add_argument("--goals", type=int, default=0, help="random scripts during goals of the node experiment")
     parser.add_argument("--seed", type=int, default=1, help="of the scripts")
     parser.add_argument("--replay", type=int, help=f"number of one script to run {_REPLAYS} times instead of all")
     parser.add_argument("--only", default="", help="hazards whose name contains this")
@@ -548,6 +689,13 @@ def main() -> int:
                 print(f"script {number}: {finding}", flush=True)
             if ran % 20 == 0 or options.replay is not None:
                 print(f"{ran} scripts, {len(cell.findings)} findings, last: {', '.join(done)}", flush=True)
+        if options.goals:
+            cell.start_nodes()
+        for number in range(options.goals):
+            found = len(cell.findings)
+            print(f"goal {number}: {goal(cell, options.seed, number, options.allowance)}", flush=True)
+            for finding in cell.findings[found:]:
+                print(f"goal {number}: FINDING: {finding}", flush=True)
         print("\n".join(cell.findings) or "No findings.")
         return 1 if cell.findings else 0
 

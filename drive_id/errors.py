@@ -38,7 +38,11 @@ class ResultError(DriveIdError, code="result"):
 
 
 class ExperimentError(DriveIdError, code="experiment"):
-    """A node refuses, does not answer in time, or does not fit the others."""
+    """A node refuses, does not answer in time, or does not fit the others; ``code`` is that of the reply, if any."""
+
+    def __init__(self, sentence: str, code: str = "") -> None:
+        super().__init__(sentence)
+        self.code = code or self.code
 
 
 class WorkerError(DriveIdError, code="worker"):

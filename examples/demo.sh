@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# The whole suite, live: a simulated bench, the trajectory publisher, the recorder and the identification node as separate
-# processes, driven through their services by "characterize". Everything is left in out/demo. With --free-shaft, there is no
+# The whole suite, live: a simulated bench, the trajectory publisher, the recorder, the identification node and the
+# experiment node as separate processes, driven by "characterize". Everything is left in out/demo. With --free-shaft, there is no
 # load machine: a first start finds the angle, then the drive swings its own shaft. --seconds 5.0 makes it short.
 set -euom pipefail # m: processes in groups of their own, so that Ctrl-C reaches this script, which ends them in order
 output=$(realpath -m "${1:-out/demo}")
@@ -20,10 +20,11 @@ mkdir -p "$output/log"
 declare -A node  # name to process
 
 start() { # NAME, its parameters as NAME:=VALUE
-    local name=$1 parameters=()
+    local name=$1 parameters=() room=nodes
+    [ "$name" != experiment ] || room=ros
     shift
     for parameter in "$@"; do parameters+=(-p "$parameter"); done
-    python -m "drive_id.nodes.$name" --ros-args "${parameters[@]}" >"$output/log/$name.log" 2>&1 &
+    python -m "drive_id.$room.$name" --ros-args "${parameters[@]}" >"$output/log/$name.log" 2>&1 &
     node[$name]=$!
 }
 
@@ -70,6 +71,7 @@ else
     result=recording_full
 fi
 
+start experiment
 python -m drive_id.ros.characterize "${options[@]}" --recording bag --truth "$output/truth.npz" --output "$output" &
 client=$!
 status=0

@@ -1,9 +1,9 @@
-"""The nodes that identify a drive, real or simulated: trajectory publisher, recorder, identification.
+"""The nodes that identify a drive, real or simulated: trajectory publisher, recorder, identification, experiment.
 
 ``ros2 launch drive_id identification.launch.py namespace:=drive_1 i_max:=200.0``. ``i_max`` and ``use_sim_time`` apply
 to all nodes that have them and take precedence over the parameter files. Topics are remapped for all nodes with
-``ros2 launch ... phase_currents:=/inverter/currents``. With ``respawn:=true``, recorder and identification are started
-again if they die; the trajectory publisher never is: find out why it ended before you start another trajectory.
+``ros2 launch ... phase_currents:=/inverter/currents``. With ``respawn:=true``, all nodes but the
+trajectory publisher are started again if they die: find out why that ended before you start another trajectory.
 With ``bridge:=true signals:=FILE``, the signal bridge publishes a bench's own topics as ours; with ``signals`` alone,
 the identification node reads them itself, and the recorder needs them in ``extra_topics``.
 """
@@ -18,7 +18,8 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 CONFIG = Path(__file__).resolve().parent.parent / "config"
-NODES = ("trajectory_publisher", "recorder", "identification", "signal_bridge")
+NODES = ("trajectory_publisher", "recorder", "identification", "experiment", "signal_bridge")
+MANAGED = tuple(node for node in NODES if node != "experiment")
 RESPAWN_DELAY = 2.0  # s
 SWITCH = {"true": True, "false": False, "True": True, "False": False}
 SWITCHES = ("use_sim_time", "autostart", "activate", "require_status")
@@ -32,14 +33,14 @@ OWN = {
     "output_directory": (("identification",), "Folder of the results."),
     "signals": (("identification", "signal_bridge"), "Signals file of a bench with topics of its own."),
     "use_sim_time": (NODES, "Use the time on /clock."),
-    "autostart": (NODES, "Have the nodes configure themselves."),
-    "activate": (NODES, "Have nodes that configure themselves activate themselves, too."),
+    "autostart": (MANAGED, "Have the nodes configure themselves."),
+    "activate": (MANAGED, "Have nodes that configure themselves activate themselves, too."),
 }
 """Parameters as launch arguments, the nodes that have them, and a sentence."""
 TOPICS = (
     "current_reference", "phase_currents", "phase_voltages", "resolver", "drive_status", "emergency_stop",
     "dc_link_voltage", "winding_temperature", "magnet_temperature", "shaft_torque", "flux_map", "flux_map_points",
-    "operating_point",
+    "fit_report", "operating_point",
 )  # fmt: skip
 
 
@@ -63,7 +64,7 @@ def generate_launch_description() -> LaunchDescription:
             "respawn",
             default_value="false",
             choices=list(SWITCH),
-            description="Start recorder, identification and bridge again if they die.",
+            description="Start all nodes but the trajectory publisher again if they die.",
         ),
         DeclareLaunchArgument("log_level", default_value="info", choices=list(LEVELS), description="Of all nodes."),
     ]

@@ -10,6 +10,7 @@ from types import ModuleType, SimpleNamespace
 
 import pytest
 import yaml
+from ros_bench import require_ros, ros_bench
 
 ROOT = Path(__file__).parent.parent
 USED = {
@@ -93,7 +94,7 @@ def test_what_is_not_given_does_not_hide_the_parameter_files(monkeypatch):
     bench = Launched("bench.launch.py", monkeypatch)
     assert bench.own(bench.nodes()["bench_simulator"]) == {}
     nodes = Launched("identification.launch.py", monkeypatch)
-    assert [nodes.own(node) for node in nodes.nodes().values()] == [{}, {}, {}]
+    assert [nodes.own(node) for node in nodes.nodes().values()] == [{}, {}, {}, {}]
     assert not any(node.respawn for node in nodes.nodes().values())
 
 
@@ -107,7 +108,7 @@ def test_what_is_given_prevails(monkeypatch):
     assert launched.own(nodes["identification"]) == {"use_sim_time": True, "i_max": 300.0}
     supervision = {"speed_max": 400.0, "require_status": False}
     assert launched.own(nodes["trajectory_publisher"]) == {"use_sim_time": True, "i_max": 300.0} | supervision
-    assert {name for name, node in nodes.items() if node.respawn} == {"recorder", "identification"}
+    assert {name for name, node in nodes.items() if node.respawn} == {"recorder", "identification", "experiment"}
 
 
 def test_folders_lifecycle_and_log_level_are_arguments(monkeypatch):
@@ -123,7 +124,7 @@ def test_folders_lifecycle_and_log_level_are_arguments(monkeypatch):
         option, level = node.ros_arguments
         assert (option, level.perform(launched.context)) == ("--log-level", "debug")
     launched = Launched("identification.launch.py", monkeypatch, autostart="false")
-    assert [launched.own(node) for node in launched.nodes().values()] == [{"autostart": False}] * 3
+    assert [launched.own(node) for node in launched.nodes().values()] == [{"autostart": False}] * 3 + [{}]
 
 
 def test_the_bridge_or_the_identification_reads_the_signals_file(monkeypatch):
@@ -161,4 +162,63 @@ def test_the_topics_are_those_that_the_nodes_use(monkeypatch):
     launched = Launched("identification.launch.py", monkeypatch)
     assert set(launched.module.TOPICS) == {name for name in used if "/" not in name and name[0] != "~"}
     bench = set(Launched("bench.launch.py", monkeypatch).module.TOPICS)
-    assert bench == set(launched.module.TOPICS) - {"emergency_stop", "flux_map", "flux_map_points", "operating_point"}
+    assert bench == set(launched.module.TOPICS) - {
+        "emergency_stop", "fit_report", "flux_map", "flux_map_points", "operating_point",
+    }  # fmt: skip
+
+
+@pytest.mark.slow  # an experiment in simulated time, beside another drive
+def test_two_benches_run_beside_each_other_each_by_its_own_clock(monkeypatch):
+    """The nodes that the launch file describes, hosted: an experiment of one, while the other runs by another time."""
+    require_ros()
+    from diagnostic_msgs.msg import DiagnosticArray
+    from drive_id_msgs.action import Experiment
+    from experiment_goal import Goal
+    from rclpy.action import ActionClient
+    from rosgraph_msgs.msg import Clock
+
+    if not INSTALLED:
+        for name, module in stand_ins():
+            monkeypatch.setitem(sys.modules, name, module)
+    spec = importlib.util.spec_from_file_location("launch_file", ROOT / "launch" / "two_benches.launch.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "Node", SimpleNamespace)
+    monkeypatch.setattr(module, "LaunchDescription", list)
+    with ros_bench() as ros:
+        clocks, named = {}, set()
+        monkeypatch.chdir(ros.folder)
+        for node in module.generate_launch_description():
+            file, own = node.parameters
+            room = "ros" if node.executable == "experiment" else "nodes"
+            patient = {"watch_timeout": 30.0, "clock_offset": 30.0, "lead_time": 2.0, "duration": 1.0}
+            own |= patient if node.executable == "trajectory_publisher" else {}
+            own |= {"method": "joint", "refit_share": 0.0} if node.executable == "identification" else {}
+            ((old, new),) = node.remappings
+            ros.host(
+                f"drive_id.{room}.{node.executable}", parameters=own, files=[file], namespace=f"/{node.namespace}",
+                arguments=["-r", f"{old}:={new}"],
+            )  # fmt: skip
+            clocks.setdefault(new, [])
+        for topic, heard in clocks.items():
+            ros.node.create_subscription(Clock, topic, heard.append, 100)
+        ros.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda m: named.update(each.name for each in m.status), 100
+        )
+        client = ActionClient(ros.node, Experiment, "/drive_2/experiment/experiment")
+        _, result = Goal(ros, client).wait()
+        client.destroy()
+        assert result.code == "ok", result.message
+        assert "drive_2/recordings" in result.bags[0]
+        assert result.flux_map.i_max == 20.0
+        assert all(clocks.values()), "both publish a clock"
+        ros.wait(lambda: len(named) == 10, "the diagnostics of all nodes")
+        assert_each_has_one_analyzer(named)
+
+
+def assert_each_has_one_analyzer(names):
+    """``GenericAnalyzer`` takes a status whose name contains one of the words."""
+    tree = yaml.safe_load((ROOT / "config" / "analyzers.yaml").read_text(encoding="utf-8"))
+    analyzers = [each for each in tree["/**"]["ros__parameters"].values() if isinstance(each, dict)]
+    for name in names:
+        assert sum(any(word in name for word in each["contains"]) for each in analyzers) == 1, name

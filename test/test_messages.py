@@ -38,7 +38,7 @@ CONTRACT = {
     "msg/PublisherState": (
         "std_msgs/Header header; string state; string reason; bool dry_run; uint64 session; float64 elapsed; "
         "float64 duration; float64 i_d; float64 i_q; float64 coverage; "
-        "float64 mean_speed; float64 mean_speed_reference; float64 bias"
+        "float64 mean_speed; float64 mean_speed_reference; float64 bias; bool completed"
     ),
     "msg/ScalarSamples": BLOCK + "float32[] value",
     "msg/FluxMap": (
@@ -50,7 +50,8 @@ CONTRACT = {
         "uint32[] harmonic_orders; float64[] harmonic_psi_d_cos; float64[] harmonic_psi_d_sin; "
         "float64[] harmonic_psi_q_cos; float64[] harmonic_psi_q_sin; string[] calibration_names; "
         "float64[] calibration_values; float64[] calibration_sigmas; string[] calibration_units; "
-        "bool[] calibration_applied; bool provisional"
+        "bool[] calibration_applied; bool provisional; "
+        "string serial; string[] recordings; uint64 session; string folder"
     ),
     "msg/OperatingPoint": "std_msgs/Header header; float64 i_d; float64 i_q; float64 speed",
     "msg/FitReport": (
@@ -62,20 +63,23 @@ CONTRACT = {
         "float64[] cogging_amplitudes; float64[] cogging_sigmas; float64 cogging_visible; "
         "float64 torque_gain; float64 sigma_torque_gain; "
         "string[] calibration_names; float64[] calibration_values; float64[] calibration_sigmas; "
-        "string[] calibration_units; bool[] calibration_applied"
+        "string[] calibration_units; bool[] calibration_applied; builtin_interfaces/Time stamp; string folder"
     ),
     "srv/Command": "---; bool success; string code; string message",
     "srv/StartExperiment": (
-        "bool dry_run; bool require_lease; ---; bool success; string code; string message; uint64 session"
+        "bool dry_run; bool require_lease; string trajectory; float64 i_max; float64 duration; uint32 repeat; ---; "
+        "bool success; string code; string message; uint64 session"
     ),
     "srv/Identify": (
         "string[] bags; string part; string method; string signals; string machine; string serial; string bench; "
-        "string operator_name; string notes; ---; bool success; string code; string message; "
+        "string operator_name; string notes; float64 i_max; float64[] temperatures; float64[] u_dc; uint64 session; "
+        "---; bool success; string code; string message; "
         "FluxMap flux_map; FitReport report; string output"
     ),
     "action/Identify": (
         "string[] bags; string part; string method; string signals; string machine; string serial; string bench; "
-        "string operator_name; string notes; ---; bool success; string code; string message; "
+        "string operator_name; string notes; float64 i_max; float64[] temperatures; float64[] u_dc; uint64 session; "
+        "---; bool success; string code; string message; "
         "FluxMap flux_map; FitReport report; string output; ---; string stage; float64 progress; string message"
     ),
     "srv/FirstStart": (
@@ -87,6 +91,39 @@ CONTRACT = {
         "string name; bool angle_known; ---; bool success; string code; string message; float64 angle_offset; "
         "float64 sigma_angle_offset; float64 load_angle; float64[3] current_offset; float64 shaft_acceleration; "
         "string signals; string parameters; ---; string stage; float64 progress; string message"
+    ),
+    "action/Experiment": (
+        "string name; string trajectory; float64 i_max; float64 duration; uint32 repeat; float64[] speeds; string"
+        " method; string signals; string machine; string serial; string bench; string operator_name; string "
+        "notes; float64[] temperatures; float64[] u_dc; float64 lease_time; ---; bool success; string code; "
+        "string message; string[] bags; uint64 samples; uint64 dropped; float64 duration; uint64 session; string "
+        "output; FluxMap flux_map; FitReport report; ---; string phase; float64 share; float64 elapsed; float64 "
+        "duration; float64 coverage; float64 resistance; float64 sigma_resistance; string waits_for"
+    ),
+    "msg/RecorderState": (
+        "std_msgs/Header header; string state; string uri; uint64 bytes; float64 duration; uint64 samples; uint64"
+        " dropped; uint32 restarts; uint64 free_space; string error"
+    ),
+    "msg/RecordingInfo": (
+        "string name; string uri; builtin_interfaces/Time begin; float64 duration; uint64 bytes; uint64 messages;"
+        " string error"
+    ),
+    "msg/ResultInfo": (
+        "string folder; string date; string method; string machine; string serial; string bench; string "
+        "operator_name; string notes; string[] recordings; uint64 session; float64 resistance; float64 "
+        "sigma_resistance; float64 i_max; float64 coverage"
+    ),
+    "srv/GetResult": (
+        "string folder; string machine; string serial; ---; bool success; string code; string message; FluxMap "
+        "flux_map; FitReport report; string output"
+    ),
+    "srv/ListRecordings": (
+        "string name; uint32 most; ---; bool success; string code; string message; RecordingInfo[] recordings; "
+        "uint32 total"
+    ),
+    "srv/ListResults": (
+        "string machine; string serial; uint32 most; ---; bool success; string code; string message; ResultInfo[]"
+        " results; uint32 total"
     ),
     "srv/StartRecording": "string name; ---; bool success; string code; string message; string uri",
     "srv/StopRecording": (

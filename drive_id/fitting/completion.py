@@ -72,6 +72,7 @@ def completed(
         duration=duration,
         date=(when or datetime.now(timezone.utc)).isoformat(timespec="seconds"),
         temperature=REFERENCE_TEMPERATURE if referred else None,
+        last_stamp=max(last_stamp, 0),
     )
     return Identification(drive, provenance, tuple(excerpts), truth, last_stamp)
 

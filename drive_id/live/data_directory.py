@@ -8,6 +8,7 @@ from itertools import count
 from pathlib import Path
 
 from drive_id.errors import ConfigurationError, NotABagError, OutputError
+from drive_id.files.storage.metadata import read_metadata
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+-]*", re.ASCII)
 _LONGEST = 200  # characters: file systems take 255 bytes, and the files of a bag add to its name
@@ -57,7 +58,8 @@ def existing_recording(directory: Path, name: str) -> Path:
     directory : Path
         The data directory.
     name : str
-        Relative to it, or an absolute path inside it.
+        Relative to it, an absolute path inside it, or that of a recording elsewhere that our recorder has completed:
+        what the recorder returned is found whatever the data directories of both nodes are.
 
     Raises
     ------
@@ -68,6 +70,8 @@ def existing_recording(directory: Path, name: str) -> Path:
     """
     shown = _shown(name)
     base = directory.expanduser().absolute()
+    if _is_ours(Path(name), base):
+        base = Path(name).parent
     outside = ConfigurationError(
         f"'{shown}' is not within the data directory {base}: give the name of a recording in it, or set data_directory."
     )
@@ -91,6 +95,16 @@ def existing_recording(directory: Path, name: str) -> Path:
     except (OSError, RuntimeError) as error:  # RuntimeError: a loop of links
         raise NotABagError(f"The recording '{shown}' in {base} cannot be read ({error}): check its name.") from error
     return path
+
+
+def _is_ours(path: Path, base: Path) -> bool:
+    """Tell whether a path outside the data directory is that of a recording of our recorder."""
+    if not path.is_absolute() or path.is_relative_to(base) or "\0" in str(path) or path.is_symlink():
+        return False
+    try:
+        return read_metadata(path / "metadata.yaml").ours
+    except NotABagError:
+        return False
 
 
 def _exists(path: Path) -> bool:

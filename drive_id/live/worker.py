@@ -52,6 +52,8 @@ class Worker(Generic[Result]):
         """Name of the present step and its completed share, 0 to 1; None where the share is unknown."""
         self.steps = 0
         """Number of places that the job has passed at which it can be cancelled."""
+        self.left: Result | None = None
+        """What a job returned that was cancelled and cleaned up after itself."""
 
     @property
     def busy(self) -> bool:
@@ -84,7 +86,9 @@ class Worker(Generic[Result]):
             try:
                 with interruptible(check):
                     result = waiting.pop()(tell)
-                check()
+                if stopping.is_set():
+                    self.left = result
+                    return
             except Cancelled:
                 return
             finally:

@@ -9,8 +9,8 @@ from functools import partial
 from typing import Any
 
 from drive_id_msgs.action import Identify as IdentifyGoal
-from drive_id_msgs.msg import FluxMap, OperatingPoint
-from drive_id_msgs.srv import Command, Identify
+from drive_id_msgs.msg import FitReport, FluxMap, OperatingPoint
+from drive_id_msgs.srv import Command, GetResult, Identify, ListResults
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import PointCloud2
 
@@ -23,6 +23,7 @@ from drive_id.live.identification.identifier import DEACTIVATED, Identifier, Job
 from drive_id.live.identification.inbox import Inbox
 from drive_id.live.identification.refits import Refit
 from drive_id.live.identification.requests import Requests
+from drive_id.live.identification.result_folders import ResultFolders
 from drive_id.live.identification.warm_up import warm_up
 from drive_id.live.worker import Worker, return_free_memory, share_arenas
 from drive_id.messages import Message
@@ -30,10 +31,19 @@ from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.deferred_service import in_executor
 from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.live_topics import LiveTopics
+from drive_id.nodes.support.lookups import MOST_LISTED, Lookups
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
-from drive_id.nodes.support.qos import LATCHED, STREAM
-from drive_id.nodes.support.replies import NAMES, fill, flux_map_message, flux_map_points, operating_point_message
+from drive_id.nodes.support.qos import LATCHED, OVERRIDABLE, STREAM
+from drive_id.nodes.support.replies import (
+    NAMES,
+    fill,
+    fit_report_message,
+    flux_map_message,
+    flux_map_points,
+    operating_point_message,
+    result_info,
+)
 from drive_id.nodes.support.request_server import RequestServer
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.signal_messages import KINDS
@@ -62,13 +72,19 @@ class IdentificationNode(ManagedNode):
         self._inbox = Inbox(partial(in_executor, self))
         self._requests = Requests(settings.time_limit, partial(in_executor, self))
         self._refitter: Worker[Refit | None] = Worker()
-        self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED)
-        self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED)
-        self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM)
+        overridable = {"qos_overriding_options": OVERRIDABLE}
+        self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED, **overridable)
+        self._fit_report = self.create_publisher(FitReport, "fit_report", LATCHED, **overridable)
+        self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED, **overridable)
+        self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM, **overridable)
         # A method that live samples cannot serve is refused.
         on_change(self, FitSettings, lambda settings: check_live(settings.method), self._on_settings)
         self._topics = LiveTopics(self, self._identifier, self._inbox, settings.signals)
         self.paced.create(Command, "~/reset", self._on_reset)
+        folders = self._identifier.folders
+        looks = Lookups(self, self.paced)
+        looks.serve(ListResults, "~/list_results", partial(_list_results, folders))
+        looks.serve(GetResult, "~/get_result", partial(_get_result, folders, self._frame_id))
         self._server = RequestServer(
             self, self.paced, Identify, IdentifyGoal, "~/identify", self._requests, self._job, self._said
         )
@@ -92,8 +108,8 @@ class IdentificationNode(ManagedNode):
         last = self._identifier.folders.last()
         if last is not None:
             reply = again(last)
-            self._publish(flux_map_message(reply, self._frame_id))
-            self.get_logger().info(reply.message)
+            self._publish(flux_map_message(reply, self._frame_id), fit_report_message(reply))
+            self.get_logger().info(f"Published again: {reply.message}")
         return super().on_activate(state)
 
     def rest(self) -> bool:
@@ -127,7 +143,8 @@ class IdentificationNode(ManagedNode):
             return
         self._identifier.take(refit)
         if self._identifier.refits.publishes and not self._requests.busy:
-            self._publish(flux_map_message(self._identifier.provisional(refit), self._frame_id))
+            reply = self._identifier.provisional(refit)
+            self._publish(flux_map_message(reply, self._frame_id), fit_report_message(reply))
 
     def _on_settings(self, settings: FitSettings) -> None:
         self._inbox.empty()
@@ -143,7 +160,8 @@ class IdentificationNode(ManagedNode):
             self._inbox.empty()
             dropped = self._inbox.warnings()
         names = {name: getattr(request, field) for name, field in NAMES.items()}
-        job = self._identifier.job(request.bags, request.method, request.signals, names, request.part)
+        further = {name: getattr(request, name) for name in ("i_max", "temperatures", "u_dc", "session")}
+        job = self._identifier.job(request.bags, request.method, request.signals, names, request.part, **further)
         life = self._identifier.life
         self._refitter.cancel()
 
@@ -164,13 +182,14 @@ class IdentificationNode(ManagedNode):
             self.get_logger().error(f"A reply could not be made: {traceback.format_exc()}")
             return type(response)(code="internal", message="The reply could not be made: report this as a bug.")
         if response.success:
-            self._publish(response.flux_map)
+            self._publish(response.flux_map, response.report)
             self.get_logger().info(f"{reply.message} The results are in {reply.output}.")
         else:
             self.get_logger().warning(f"identify: {reply.message}")
         return response
 
-    def _publish(self, flux_map: FluxMap) -> None:
+    def _publish(self, flux_map: FluxMap, report: FitReport) -> None:
+        self._fit_report.publish(report)
         self._flux_map.publish(flux_map)
         self._points.publish(flux_map_points(flux_map))
 
@@ -196,6 +215,18 @@ class IdentificationNode(ManagedNode):
         dropped = [(Level.WARN, warning) for warning in self._inbox.warnings()]
         findings = [*dropped, *self._requests.findings(), *self._topics.findings()]
         return self._identifier.health(self._requests.doing, self._topics.publishers(), findings)
+
+
+def _list_results(folders: ResultFolders, request: Any, response: Any) -> Any:
+    found, response.total = folders.find(request.machine, request.serial, request.most or MOST_LISTED)
+    response.results = [result_info(each) for each in found]
+    response.message = f"{len(found)} of {response.total} results."
+    return response
+
+
+def _get_result(folders: ResultFolders, frame_id: str, request: Any, response: Any) -> Any:
+    reply = again(folders.get(request.folder, request.machine, request.serial))
+    return fill(response, reply, frame_id)
 
 
 def main() -> None:

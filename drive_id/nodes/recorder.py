@@ -10,7 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drive_id_msgs.srv import Command, StartRecording, StopRecording
+from drive_id_msgs.msg import RecorderState
+from drive_id_msgs.srv import Command, ListRecordings, StartRecording, StopRecording
 
 from drive_id.errors import DriveIdError
 from drive_id.health import Health, Level
@@ -18,15 +19,21 @@ from drive_id.live.data_directory import new_recording
 from drive_id.live.recording.clock_watch import ClockWatch
 from drive_id.live.recording.recorder_health import recorder_health
 from drive_id.live.recording.recording_note import RecordingNote
+from drive_id.live.recording.recording_report import RecordingReport
 from drive_id.live.recording.recording_session import RecordingSession, free_space, shortage
 from drive_id.live.recording.recording_settings import RecordingSettings
+from drive_id.live.recording.recordings import find_recordings
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.diagnostics import publish_health
+from drive_id.nodes.support.lookups import MOST_LISTED, Lookups
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
+from drive_id.nodes.support.qos import LATCHED, OVERRIDABLE
 from drive_id.nodes.support.recorded_topics import RecordedTopics
+from drive_id.nodes.support.recording_messages import recorder_state_message, recording_info
 from drive_id.nodes.support.runtime import run
 
+_STATE_PERIOD = 1.0  # s between messages of the state of a recording
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
 _PATIENCE = 3.0  # s that ~/stop waits for a slow disk
 _LAST_PATIENCE = 30.0  # s, at the end of the process
@@ -55,12 +62,22 @@ class Recorder(ManagedNode):
         self._note = RecordingNote(self._settings.data_directory, self.get_fully_qualified_name())
         self._topics = RecordedTopics(self, self._on_message, self._settings.queue_depth)
         extra = self._topics.extra
-        extra.want(self._settings.extra_topics)
-        on_change(self, RecordingSettings, lambda new: extra.resolved(new.extra_topics), self._on_settings)
+        extra.want(self._settings.extra_topics, self._settings.state_topics)
+        on_change(
+            self, RecordingSettings, lambda new: extra.resolved([*new.extra_topics, *new.state_topics]),
+            self._on_settings,
+        )  # fmt: skip
         self.paced.create(StartRecording, "~/start", self._on_start)
         self.paced.create(StopRecording, "~/stop", self._on_stop)
         for name, (command, said) in _COMMANDS.items():
             self.paced.create(Command, f"~/{name}", partial(self._on_command, command, said))
+        Lookups(self, self.paced).serve(ListRecordings, "~/list_recordings", self._list_recordings)
+        self._last: RecordingReport | None = None
+        self._told_state: tuple[object, ...] = ()
+        self._state_due = 0.0
+        self._state_publisher = self.create_publisher(
+            RecorderState, "~/state", LATCHED, qos_overriding_options=OVERRIDABLE
+        )
         self.create_timer(_MATCH_PERIOD, self._check_topics, clock=STEADY)
         if self._note.left:
             self.get_logger().error(self._note.left)
@@ -101,13 +118,13 @@ class Recorder(ManagedNode):
         self._stopping = True
         if not session.stop(patience):
             return False
-        self._session, self._stopping = None, False
+        self._session, self._stopping, self._last = None, False, session.report()
         self._note.end()
         return True
 
     def _on_settings(self, settings: RecordingSettings) -> None:
         self._settings = settings  # for the next recording
-        self._topics.extra.want(settings.extra_topics)
+        self._topics.extra.want(settings.extra_topics, settings.state_topics)
 
     def _on_message(self, topic: str, data: bytes) -> None:
         if self._session is not None:
@@ -129,6 +146,28 @@ class Recorder(ManagedNode):
             self._told_error = True
             self._note.end()
             self.get_logger().error(self._session.error)
+        self._publish_state()
+
+    def _publish_state(self) -> None:
+        """Tell the state where it has changed, and once a second while something is recorded."""
+        session, now = self._session, time.monotonic()
+        report = self._last if session is None else session.report()
+        state = RecorderState.IDLE
+        if session is not None:
+            ends = RecorderState.FAILED if session.error else RecorderState.COMPLETING if self._stopping else ""
+            state = ends or (RecorderState.PAUSED if session.paused else RecorderState.RECORDING)
+        told = (state, *(() if report is None else (report.path, report.changes, report.error)))
+        if told == self._told_state and (session is None or now < self._state_due):
+            return
+        self._told_state, self._state_due = told, now + _STATE_PERIOD
+        self._state_publisher.publish(recorder_state_message(state, report, max(self._now(), 0)))
+
+    def _list_recordings(self, request: Any, response: Any) -> Any:
+        directory = Path(self._settings.data_directory)
+        found, response.total = find_recordings(directory, request.name, request.most or MOST_LISTED)
+        response.recordings = [recording_info(each) for each in found]
+        response.message = f"{len(found)} of {response.total} recordings."
+        return response
 
     def _health(self) -> Health:
         if not self.active:
@@ -173,6 +212,7 @@ class Recorder(ManagedNode):
         self._note = RecordingNote(self._settings.data_directory, self.get_fully_qualified_name())
         self._note.begin(path)
         self._told_error = self._stopping = False
+        self._publish_state()
         self._clock_watch.begin(time.monotonic())
         return codes.CODE_OK, f"Recording {path}.{before}"
 
@@ -185,6 +225,7 @@ class Recorder(ManagedNode):
             return self.answer(command.__name__, response, response.CODE_NOT_RECORDING, _NOTHING)
         self._topics.drain()
         command(session)
+        self._publish_state()
         return self.answer(command.__name__, response, response.CODE_OK, message.format(path=session.path))
 
     def _on_stop(self, _request: Any, response: Any) -> Any:
@@ -196,6 +237,7 @@ class Recorder(ManagedNode):
             slow = f"The disk is slow, {response.uri} is still being completed: call stop again."
             return self.answer("stop", response, response.CODE_BUSY, slow)
         report = session.report()
+        self._publish_state()
         response.samples, response.dropped, response.duration = report.samples, report.dropped, report.duration
         code, message = response.CODE_OK, report.outcome()
         if report.error:

@@ -38,6 +38,8 @@ _STATE_PERIOD = 0.1
 """Time between messages of the state of a running experiment, s."""
 _READ_ONLY = ("publish_rate", "frame_id", "watch", "require_status", "current_ceiling", "emergency_stops")
 """Parameters that are fixed at the start of the process: nobody loosens them while current flows."""
+_OF_RUN = ("trajectory", "i_max", "duration", "repeat")
+"""Settings that a request may have for its run."""
 _NO_EVENTS = {"use_default_callbacks": False}
 """An event of a destroyed publisher or subscription kills the events executor of rclpy up to 9.1."""
 
@@ -201,7 +203,7 @@ class TrajectoryPublisher(ManagedNode):
         now, steady = self._now(), time.monotonic()
         report = self._experiment.report(now, steady)
         reason = report.reason if self.active else self.inactive()
-        shown = (report.state, _FIGURE.sub("", reason), report.dry_run, self.active)
+        shown = (report.state, _FIGURE.sub("", reason), report.dry_run, report.session, report.completed, self.active)
         runs = report.state not in {ExperimentState.IDLE, ExperimentState.TRIPPED}
         if shown == self._published_state and not (runs and steady >= self._state_due):
             return
@@ -239,11 +241,12 @@ class TrajectoryPublisher(ManagedNode):
         return self._replied("start", response, self._start())
 
     def _on_start_experiment(self, request: Any, response: Any) -> Any:
-        answer = self._start(dry_run=request.dry_run, require_lease=request.require_lease)
+        run = {name: value for name in _OF_RUN if (value := getattr(request, name))}
+        answer = self._start(dry_run=request.dry_run, require_lease=request.require_lease, run=run)
         response.session = self._experiment.session if answer.success else 0
         return self._replied("start", response, answer)
 
-    def _start(self, **options: bool) -> Answer:
+    def _start(self, **options: Any) -> Answer:
         if not self.active:
             return Answer("inactive", f"Not started. {self.inactive()}")
         publishers = self.count_publishers(_REFERENCES)

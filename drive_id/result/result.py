@@ -252,7 +252,9 @@ class Result:
         """Load a result folder; raises a ResultError when it is none, is damaged, or was written by a newer version."""
         try:
             drive, provenance = read_results(Path(directory))
-            return cls(drive, provenance, stored=read_judged(Path(directory), drive.flux_map))
+            return cls(
+                drive, provenance, last_stamp=provenance.last_stamp, stored=read_judged(Path(directory), drive.flux_map)
+            )
         except TypeError as error:  # of Path
             raise ConfigurationError(
                 f"{directory!r:.60} is not the path of a result folder: give a str or Path."

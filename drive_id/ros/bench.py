@@ -1,107 +1,31 @@
-"""A client of one drive's nodes: waits for them, checks them and calls their services."""
+"""A client of one drive's nodes: runs experiments by the action of the node ``experiment``."""
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
-from rcl_interfaces.msg import ParameterValue
-from rcl_interfaces.srv import GetParameters, SetParametersAtomically
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
-from rclpy.parameter import Parameter, parameter_value_to_python
+from drive_id_msgs.action import Experiment
+from drive_id_msgs.srv import Identify
+from rclpy.action import ActionClient
 from std_msgs.msg import Empty
 
-from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ExperimentError
 from drive_id.fitting.result import Identification, load
-from drive_id.nodes.support.arguments import ros_arguments
 from drive_id.nodes.support.clocks import STEADY
-from drive_id.nodes.support.middleware import fast_dds
 from drive_id.nodes.support.replies import NAMES
-from drive_id.nodes.support.signal_messages import KINDS
+from drive_id.ros.calls import IDENTIFICATION, NODES, Calls, Progress
+from drive_id.ros.conductor import STOP_TIME, Recording
 
-PUBLISHER, RECORDER, IDENTIFICATION = NODES = ("trajectory_publisher", "recorder", "identification")
-PARAMETERS = {"get_parameters": GetParameters, "set_parameters_atomically": SetParametersAtomically}
-SERVICES = {
-    f"{RECORDER}/start": StartRecording,
-    f"{RECORDER}/stop": StopRecording,
-    f"{PUBLISHER}/start_experiment": StartExperiment,
-    f"{PUBLISHER}/stop_experiment": Command,
-    f"{PUBLISHER}/clear_fault": Command,
-    f"{PUBLISHER}/set_parameters_atomically": SetParametersAtomically,
-    f"{IDENTIFICATION}/reset": Command,
-    f"{IDENTIFICATION}/identify": Identify,
-    **{f"{node}/get_parameters": GetParameters for node in NODES},
-}
-_IDLE = "idle"
-_TRIPPED = "tripped"
-_LATEST_START = 5.0
-"""Time after the start within which the publisher reports a trajectory, s."""
-_STOPPING = 5.0
-"""Longest wait for each node when a bench is brought to rest, s."""
-_HEARTBEAT = 0.2
-"""Time between signs of life to the publisher, s: a tenth of the time after which it stops without them."""
-_SPIN = 0.05
-"""Longest pause between looks at a condition, s: short beside every step."""
+EXPERIMENT = "experiment"
+SERVICES = {f"{IDENTIFICATION}/identify": Identify}
 _TOLD = 1.0
 """Time between reports of progress, s: nobody reads faster."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Progress of the current step.
-
-    Parameters
-    ----------
-    sentence : str
-        As a node reports it.
-    waited : float
-        Time since the step began, s.
-    elapsed, duration : float
-        Of the trajectory, s; 0 where none runs.
-    coverage : float
-        Share of the current disc that the identification node has data of, 0 to 1.
-    of_disc : bool
-        The trajectory is to cover the disc; a first start is not.
-    """
-
-    sentence: str
-    waited: float
-    elapsed: float = 0.0
-    duration: float = 0.0
-    coverage: float = 0.0
-    of_disc: bool = True
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A finished recording.
-
-    Parameters
-    ----------
-    uri : str
-        Path of the bag on the recorder's machine.
-    samples, dropped : int
-        Samples of the phase currents in the bag, and samples lost.
-    duration : float
-        s.
-    message : str
-        The recorder's sentence.
-    """
-
-    uri: str
-    samples: int
-    dropped: int
-    duration: float
-    message: str
+_HEARTBEAT, _LEASE = 0.2, 2.0
+"""Time between signs of life, and after which the node cancels a goal without them, s."""
 
 
 @dataclass(frozen=True)
@@ -134,14 +58,14 @@ class Identified:
         return load(Path(self.output))
 
 
-class Bench:
-    """Calls the nodes of one drive in sequence, each call with a deadline.
+class Bench(Calls):
+    """Runs experiments with the nodes of one drive; each step has a deadline.
 
-    While it waits for something, it sends heartbeats to the trajectory publisher, which ramps to zero current without
-    them: nothing keeps running when this process dies or hangs.
+    While a goal is under way, it sends heartbeats to the node ``experiment``, which brings the drive to zero current
+    without them: nothing keeps running when this process dies or hangs.
 
     It has a ROS context of its own: ``rclpy.init`` is neither needed nor disturbed. At the end of a ``with`` block, and
-    by :meth:`close`, it stops a trajectory and a recording that it began and that have not ended.
+    by :meth:`close`, it cancels a goal that has not ended.
 
     Parameters
     ----------
@@ -150,7 +74,7 @@ class Bench:
     drive : str
         Node of the drive with the parameters of :class:`~drive_id.core.experiment.encoder.Encoder`, where it has them.
     timeout : float
-        For each step, s; for a trajectory, in addition to its duration.
+        For each answer of a node, s; a goal of an experiment takes as long as the node ``experiment`` permits.
     tell : callable, optional
         Called with :class:`Progress` about once a second while something is waited for.
     arguments : sequence of str
@@ -171,45 +95,30 @@ class Bench:
         tell: Callable[[Progress], None] | None = None,
         arguments: Sequence[str] = (),
     ) -> None:
-        self.timeout = timeout
-        self._tell = tell
-        self._begun = False
-        self._statuses: dict[str, DiagnosticStatus] = {}  # by node, as is what follows
-        self._figures: dict[str, dict[str, str]] = {}
-        self._states: list[str] = []
-        self._context = Context()
-        with fast_dds(), ros_arguments():
-            self._context.init(args=list(arguments))
-            self._node = Node("bench_client", namespace=namespace, context=self._context)
-        self._executor = SingleThreadedExecutor(context=self._context)
-        self._executor.add_node(self._node)
-        self._names = {self._node.resolve_service_name(node): node for node in NODES}
-        self.drive = drive
-        of_drive = {f"{drive}/{name}": kind for name, kind in PARAMETERS.items()} if drive else {}
-        kinds = SERVICES | of_drive
-        self._services = {name: self._node.create_client(kind, name) for name, kind in kinds.items()}
-        self._heartbeats = self._node.create_publisher(Empty, f"{PUBLISHER}/heartbeat", 1)
-        self._node.create_timer(_HEARTBEAT, lambda: self._heartbeats.publish(Empty()), clock=STEADY)
-        # After the clients: a node that is heard here knows of them, and its replies are not lost.
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
-
-    def __enter__(self) -> Bench:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        super().__init__(
+            "bench_client", SERVICES, (*NODES, EXPERIMENT), namespace=namespace, drive=drive, timeout=timeout,
+            tell=None if tell is None else _paced(tell), arguments=arguments,
+        )  # fmt: skip
+        self._last = Progress("")
+        self._under_way: Any = None  # future of the goal's handle
+        self._experiments = ActionClient(self._node, Experiment, f"{EXPERIMENT}/{EXPERIMENT}")
+        heartbeats = self._node.create_publisher(Empty, f"{EXPERIMENT}/heartbeat", 1)
+        self._node.create_timer(_HEARTBEAT, lambda: heartbeats.publish(Empty()), clock=STEADY)
 
     def close(self) -> None:
         """Leave the ROS graph, after :meth:`stop`."""
         try:
             self.stop()
         finally:
-            self._executor.shutdown()
-            self._node.destroy_node()
-            self._context.try_shutdown()
+            self._experiments.destroy()
+            super().close()
+
+    def missing(self) -> list[str]:
+        """Return the nodes that have not been heard of, or lack what is needed."""
+        return sorted({*super().missing(), *([] if self._experiments.server_is_ready() else [EXPERIMENT])})
 
     def wait_until_ready(self, timeout: float = 300.0) -> None:
-        """Wait until all nodes report and the drive publishes; then check that they fit together.
+        """Wait until all nodes report.
 
         Parameters
         ----------
@@ -219,102 +128,44 @@ class Bench:
         Raises
         ------
         ExperimentError
-            When a node is missing, the drive is silent, several drives publish, or the nodes disagree on ``i_max`` or
-            on ``use_sim_time``.
+            When a node is missing.
         """
+        self.wait_for_nodes(timeout)
 
-        def waiting() -> str:
-            missing = {name.rpartition("/")[0] for name, one in self._services.items() if not one.service_is_ready()}
-            missing |= set(NODES) - set(self._statuses)
-            missing |= set() if self._heartbeats.get_subscription_count() else {PUBLISHER}
-            if missing:
-                names = " and ".join(sorted(missing))
-                return f"waiting for {names} (the first start compiles the numerical kernels: about 30 s)"
-            status = self._statuses[PUBLISHER]
-            return f"waiting for the drive: {status.message}" if status.level == DiagnosticStatus.WARN else ""
-
-        self._wait(lambda: not waiting(), lambda: f"still {waiting()}", waiting, timeout)
-        self._check()
-
-    def wait_for_publisher(self) -> None:
-        """Wait until the trajectory publisher reports: only then its replies reach this client.
-
-        Raises
-        ------
-        ExperimentError
-            When it does not.
-        """
-        self._wait(lambda: PUBLISHER in self._statuses, lambda: f"nothing has been heard of {PUBLISHER}", lambda: "")
-
-    def run_experiment(self, name: str = "") -> Recording:
-        """Record one trajectory: start the recorder, run the trajectory to its end, stop the recorder.
-
-        The live samples of the identification node are those of this trajectory, too.
+    def run_experiment(self, name: str = "", **goal: Any) -> Recording:
+        """Record one trajectory, or one for each of ``speeds``, and do not identify the drive.
 
         Parameters
         ----------
         name : str
             Of the recording; default: date and time.
+        **goal : Any
+            Fields of the action ``Experiment``.
 
         Raises
         ------
         ExperimentError
-            When a node refuses, does not answer, or the trajectory is stopped before its end.
+            When a node refuses, does not answer, or the trajectory is stopped before its end; ``code`` is the result's.
         """
-        self._heartbeats.publish(Empty())  # long before the start, which may require it
-        self._begun = True  # before there is an answer, which may come too late
-        started = self._called(f"{RECORDER}/start", name=name)
-        self._begun = started.success  # else the recorder may be busy for another client, who shall not be stopped
-        self._succeeded(f"{RECORDER}/start", started)
-        self._required(f"{IDENTIFICATION}/reset")
-        self._run_trajectory()
-        stopped = self._required(f"{RECORDER}/stop")
-        self._begun = False
-        return Recording(started.uri, stopped.samples, stopped.dropped, stopped.duration, stopped.message)
+        return _recording(self._run(name=name, **{"method": Experiment.Goal.METHOD_NONE, **goal}))
 
-    def configure_publisher(self, **values: Any) -> None:
-        """Set parameters of the trajectory publisher, all or none.
+    def characterize(self, name: str = "", **goal: Any) -> tuple[Recording, Identified]:
+        """Run a whole experiment: record as :meth:`run_experiment` does, and identify the drive.
+
+        Parameters
+        ----------
+        name, **goal
+            As of :meth:`run_experiment`.
 
         Raises
         ------
         ExperimentError
-            When the publisher refuses them.
+            As of :meth:`run_experiment`, and when the fit fails.
         """
-        self._configure(PUBLISHER, values)
+        result = self._run(name=name, **goal)
+        return _recording(result), Identified(result.flux_map, result.report, result.output, result.message)
 
-    def publisher_value(self, name: str) -> float:
-        """Return a parameter of the trajectory publisher that is a number, NaN where it is the default."""
-        return self._parameter(PUBLISHER, name)
-
-    def encoder(self) -> Encoder:
-        """Return what the drive makes of its raw angle, by the parameters of its node.
-
-        Raises
-        ------
-        ExperimentError
-            When the node does not answer, or lacks them.
-        """
-        names = list(Encoder.__dataclass_fields__)
-        values = [parameter_value_to_python(value) for value in self._values(self.drive, names)]
-        if None in values or len(values) < len(names):
-            raise ExperimentError(
-                f"{self.drive} has no parameters {', '.join(names)}: enter the angle by hand, without --drive."
-            )
-        return Encoder(**dict(zip(names, values, strict=True)))
-
-    def set_encoder(self, encoder: Encoder) -> None:
-        """Set what the drive makes of its raw angle.
-
-        Raises
-        ------
-        ExperimentError
-            When the node refuses, as while current flows.
-        """
-        self._configure(self.drive, asdict(encoder))
-
-    def identify(
-        self, bags: Sequence[str] = (), method: str = "", signals: str = "", *, part: str = "", **names: str
-    ) -> Identified:
+    def identify(self, bags: Sequence[str] = (), method: str = "", signals: str = "", **fields: Any) -> Identified:
         """Identify the drive.
 
         Parameters
@@ -325,148 +176,86 @@ class Bench:
             ``psm``, ``joint`` or ``full``; default: as the node is configured.
         signals : str
             Signals file for the recordings, on the machine of the node; default: as the node is configured.
-        part : {"", "before", "after"}
-            Of live samples, where the drive was restarted or exchanged meanwhile.
-        **names : str
-            ``machine``, ``serial``, ``bench``, ``operator``, ``notes``; default: as the node is configured.
+        **fields : Any
+            Further fields of ``Identify``, such as ``i_max`` or ``part``; ``operator`` is ``operator_name`` there.
 
         Raises
         ------
         ExperimentError
             When the node refuses or does not answer; its sentence tells why.
         """
-        wanted = {"bags": list(bags), "method": method, "signals": signals, "part": part}
-        wanted |= {NAMES[name]: text for name, text in names.items()}
+        wanted = {"bags": list(bags), "method": method, "signals": signals, **_named(fields)}
         reply = self._required(f"{IDENTIFICATION}/identify", **wanted)
         return Identified(reply.flux_map, reply.report, reply.output, reply.message)
 
     def stop(self) -> list[str]:
-        """Bring the drive to zero current and close a recording that this client began; return what the nodes said."""
-        if not self._begun:
+        """Cancel a goal under way, and wait until the drive is at zero current; return what the node said."""
+        if self._under_way is None:
             return []
-        self._begun = False
+        sent, self._under_way = self._under_way, None
         self._tell = None  # what shows progress may be what failed
-        self.timeout = min(self.timeout, _STOPPING)
-        return [self._stopped(name) for name in (f"{PUBLISHER}/stop_experiment", f"{RECORDER}/stop")]
-
-    def clear_fault(self) -> str:
-        """Permit a start again after a trip or an emergency stop; return the publisher's sentence.
-
-        Raises
-        ------
-        ExperimentError
-            When the cause persists, or the publisher does not answer.
-        """
-        return str(self._required(f"{PUBLISHER}/clear_fault").message)
-
-    def _stopped(self, name: str) -> str:
+        self.timeout = STOP_TIME + 1.0
         try:
-            return f"{name}: {self._called(name).message}"
+            self._wait(sent.done, lambda: f"{EXPERIMENT} does not answer", lambda: "")
+            sent.result().cancel_goal_async()
+            over = sent.result().get_result_async()
+            self._wait(over.done, lambda: f"{EXPERIMENT} does not say that the current is at zero", lambda: "")
         except ExperimentError as error:
-            return str(error)
+            return [str(error)]
+        return [f"{EXPERIMENT}: {over.result().result.message}"]
 
-    def _run_trajectory(self) -> None:
-        self._states.clear()
-        self._required(f"{PUBLISHER}/start_experiment", require_lease=True)
-        started = time.monotonic()
+    def _run(self, **goal: Any) -> Any:
+        """Run an experiment and return its result."""
+        self._last = Progress("The goal is sent.")
+        wanted = Experiment.Goal(lease_time=_LEASE, **_named(goal))
+        sent = self._under_way = self._experiments.send_goal_async(wanted, feedback_callback=self._on_feedback)
 
-        def ended() -> bool:
-            if _TRIPPED in self._states:
-                raise ExperimentError(f"The trajectory was stopped: {self._said(PUBLISHER)}")
-            was_active = any(state != _IDLE for state in self._states) or time.monotonic() > started + _LATEST_START
-            return bool(was_active and self._states and self._states[-1] == _IDLE)
+        def doing() -> str:
+            return self._last.sentence
 
-        remaining = max(self._value(PUBLISHER, "duration [s]"), 0.0)
-        timeout = self.timeout + remaining
-        self._wait(ended, lambda: "the trajectory does not end", lambda: self._said(PUBLISHER), timeout)
-
-    def _check(self) -> None:
-        """Compare parameters of the nodes, and count who publishes the drive's signals."""
-        for topic in KINDS:
-            count = self._node.count_publishers(topic)
-            if count > 1:
-                raise ExperimentError(
-                    f"{count} nodes publish {self._node.resolve_topic_name(topic)}: leave one drive in each namespace."
-                )
-        i_max = {node: self._parameter(node, "i_max") for node in (PUBLISHER, IDENTIFICATION)}
-        if i_max[IDENTIFICATION] and i_max[IDENTIFICATION] < i_max[PUBLISHER]:
-            raise ExperimentError(
-                f"{PUBLISHER} drives up to {i_max[PUBLISHER]:g} A and {IDENTIFICATION} maps up to "
-                f"{i_max[IDENTIFICATION]:g} A: give both the same i_max."
-            )
-        clocks = {node: bool(self._parameter(node, "use_sim_time")) for node in NODES}
-        if len(set(clocks.values())) > 1:
-            simulated = " and ".join(node for node, own in clocks.items() if own)
-            raise ExperimentError(f"Only {simulated} follows /clock: give all nodes the same use_sim_time.")
-
-    def _configure(self, node: str, values: Mapping[str, Any]) -> None:
-        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        result = self._called(f"{node}/set_parameters_atomically", parameters=parameters).result
-        if not result.successful:
-            raise ExperimentError(f"{node}: {result.reason}")
-
-    def _values(self, node: str, names: Sequence[str]) -> list[ParameterValue]:
-        return list(self._called(f"{node}/get_parameters", names=names).values)
-
-    def _parameter(self, node: str, name: str) -> float:
-        """Return a parameter of a node that is a number or true, 0 if it is neither."""
-        (value,) = map(parameter_value_to_python, self._values(node, [name]))
-        return float(value) if isinstance(value, (bool, float)) else 0.0
-
-    def _called(self, name: str, /, **fields: Any) -> Any:
-        """Call a service and return its response, which itself tells of success."""
-        node, client = name.rpartition("/")[0], self._services[name]
-        future = client.call_async(client.srv_type.Request(**fields))
-        self._wait(future.done, lambda: f"service {name} does not answer", lambda: f"{node}: {self._said(node)}")
-        return future.result()
-
-    def _required(self, name: str, /, **fields: Any) -> Any:
-        response = self._called(name, **fields)
-        self._succeeded(name, response)
-        return response
-
-    def _succeeded(self, name: str, response: Any) -> None:
-        if not response.success:
-            raise ExperimentError(f"{name}: {response.message}")
-
-    def _wait(
-        self,
-        condition: Callable[[], bool],
-        complaint: Callable[[], str],
-        doing: Callable[[], str],
-        timeout: float | None = None,
-    ) -> None:
-        timeout = timeout or self.timeout
-        begin = told = time.monotonic()
-        while not condition():
-            now = time.monotonic()
-            if now > begin + timeout:
-                raise ExperimentError(f"After {timeout:g} s, {complaint()}.")
-            if self._tell is not None and now > told + _TOLD:
-                told = now
-                self._tell(self._progress(doing(), now - begin))
-            self._executor.spin_once(timeout_sec=_SPIN)
+        self._wait(sent.done, lambda: f"{EXPERIMENT} does not answer", doing)
+        over = sent.result().get_result_async()
+        while not over.done():
+            begun = self._last
+            self._wait(
+                lambda begun=begun: over.done() or self._last is not begun,  # type: ignore[misc]
+                lambda: f"nothing has been heard of {EXPERIMENT}", doing,
+            )  # fmt: skip
+        self._under_way = None
+        result = over.result().result
+        if not result.success:
+            raise ExperimentError(result.message, result.code)
+        return result
 
     def _progress(self, sentence: str, waited: float) -> Progress:
-        elapsed, duration = (self._value(PUBLISHER, f"{key} [s]") for key in ("elapsed", "duration"))
-        of_disc = self._figures.get(PUBLISHER, {}).get("coverage") != ""
-        return Progress(sentence, waited, elapsed, duration, self._value(IDENTIFICATION, "coverage"), of_disc)
+        return self._last if self._under_way is not None else Progress(sentence, waited)
 
-    def _value(self, node: str, key: str) -> float:
-        """Return a number that a node reports, 0 if it reports none."""
-        with contextlib.suppress(ValueError):
-            return float(self._figures.get(node, {}).get(key, ""))
-        return 0.0
+    def _on_feedback(self, message: Any) -> None:
+        said = message.feedback
+        self._last = Progress(
+            said.waits_for, 0.0, said.elapsed, said.duration, said.coverage, said.phase, said.share,
+            said.resistance, said.sigma_resistance,
+        )  # fmt: skip
 
-    def _said(self, node: str) -> str:
-        return str(self._statuses[node].message) if node in self._statuses else "nothing has been heard of it yet"
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            node = self._names.get(status.name)
-            if node is None:
-                continue
-            self._statuses[node] = status
-            self._figures[node] = {entry.key: entry.value for entry in status.values}
-            if node == PUBLISHER:
-                self._states.append(self._figures[node].get("state", ""))
+def _recording(result: Any) -> Recording:
+    return Recording(
+        tuple(result.bags), result.samples, result.dropped, result.duration, result.message, result.session
+    )
+
+
+def _named(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a request, whose names for machine, operator and so on need not be those of the message."""
+    return {NAMES.get(name, name): value for name, value in fields.items()}
+
+
+def _paced(tell: Callable[[Progress], None]) -> Callable[[Progress], None]:
+    """Return a function that hands progress on at most once a second."""
+    told = [time.monotonic()]
+
+    def paced(now: Progress) -> None:
+        if time.monotonic() > told[0] + _TOLD:
+            told[0] = time.monotonic()
+            tell(now)
+
+    return paced

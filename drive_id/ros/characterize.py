@@ -1,12 +1,11 @@
 """``characterize``: run one experiment with the nodes of a drive, identify it, and print the results.
 
-Requires the nodes ``trajectory_publisher``, ``recorder`` and ``identification``, and a drive (or ``bench_simulator``)
-that publishes ``phase_currents``, ``phase_voltages`` and ``resolver`` and follows ``current_reference``::
+Requires the nodes ``experiment``, ``trajectory_publisher``, ``recorder`` and ``identification``, and a drive (or
+``bench_simulator``) that publishes ``phase_currents``, ``phase_voltages`` and ``resolver`` and follows
+``current_reference``::
 
-    wait until all nodes are ready and the drive publishes; check that they fit together
     with --first-start: find angle and acceleration of a drive without load machine, and write files that say so
-    recorder/start  ->  trajectory_publisher/start  ->  wait for the end of the trajectory  ->  recorder/stop
-    identification/identify from the recording
+    a goal of the action of the node experiment: record one trajectory, identify the drive
 
 With ``--clear-fault``, nothing but a latched trip of the publisher is cleared.
 
@@ -37,12 +36,14 @@ from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.fitting.result import load
 from drive_id.nodes.support.arguments import ros_arguments
 from drive_id.nodes.support.replies import NAMES
-from drive_id.ros.bench import Bench, Identified, Progress
+from drive_id.ros.bench import Bench, Identified
+from drive_id.ros.calls import Progress
 from drive_id.ros.comparison import comparison
 from drive_id.ros.first_start import commission, swing_up
 from drive_id.types import GroundTruth
 
-REQUESTS = {"recording": (True, "")}
+RECORDED = "recording"
+"""Title of the only column without a comparison."""
 COMPARED = {  # title of the column: whether from the recording, method
     "live, joint": (False, "joint"),  # at once: its sums are accumulated already
     "live, full": (False, "full"),
@@ -111,7 +112,7 @@ def read_truth(path: Path) -> GroundTruth:
         raise ExperimentError(f"The truth in {path} cannot be read ({reason}): give another --truth.") from error
 
 
-def prepare_output(output: Path, titles: Mapping[str, object]) -> None:
+def prepare_output(output: Path, titles: Iterable[str]) -> None:
     """Create the folder for the results, before anything starts; refuse a folder that already holds results."""
     try:
         output.mkdir(parents=True, exist_ok=True)
@@ -156,7 +157,6 @@ def print_sentences(heading: str, found: Mapping[str, Iterable[str]]) -> None:
 
 def characterize(bench: Bench, options: argparse.Namespace) -> int:
     """Run the experiment, print and keep its results, and return the exit code."""
-    requests = COMPARED if options.compare else REQUESTS
     say("1. The nodes are started.")
     bench.wait_until_ready(options.start_up)
     truth = read_truth(options.truth) if options.truth else None
@@ -174,17 +174,22 @@ def characterize(bench: Bench, options: argparse.Namespace) -> int:
             return 0
     elif options.free_shaft:
         swing_up(bench)
-    say("2. All nodes are ready: the recording is started, then the trajectory.")
-    recording = bench.run_experiment(options.recording)
-    say(f"   {recording.message}")
-    say("3. The drive is identified.")
-    results = {}
-    for title, (recorded, method) in requests.items():
-        begin = time.monotonic()
-        bags = [recording.uri] if recorded else []
-        names = {name: getattr(options, name) for name in NAMES}
-        results[title] = bench.identify(bags, method or options.method, signals, **names)
-        say(f"   {title}: {time.monotonic() - begin:.1f} s")
+    say("2. All nodes are ready: the trajectory is recorded, then the drive is identified.")
+    names = {name: getattr(options, name) for name in NAMES}
+    wanted = {"signals": signals, "i_max": options.i_max, "repeat": options.repeat, "duration": options.duration}
+    results: dict[str, Identified] = {}
+    if options.compare:
+        recording = bench.run_experiment(options.recording, **wanted)
+        say(f"   {recording.message}")
+        say("3. The drive is identified.")
+        for title, (recorded, method) in COMPARED.items():
+            begin = time.monotonic()
+            bags = [recording.uri] if recorded else []
+            results[title] = bench.identify(bags, method, signals if recorded else "", i_max=options.i_max, **names)
+            say(f"   {title}: {time.monotonic() - begin:.1f} s")
+    else:
+        recording, results[RECORDED] = bench.characterize(options.recording, method=options.method, **wanted, **names)
+        say(f"   {recording.message}")
     Console(width=_WIDTH).print(comparison(results, truth))
     print_sentences("Warnings:", {title: result.report.warnings for title, result in results.items()})
     if options.output:
@@ -204,6 +209,9 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--method", default="", help="full, joint or psm; default: as the node is configured")
     for name in NAMES:
         parser.add_argument(f"--{name}", default="", help="for titles and files; default: as the node is configured")
+    parser.add_argument("--i-max", type=float, default=0.0, help="A; default: as trajectory_publisher is configured")
+    parser.add_argument("--duration", type=float, default=0.0, help="of the trajectory, s; likewise")
+    parser.add_argument("--repeat", type=int, default=0, help="repetitions of the trajectory; likewise")
     parser.add_argument("--compare", action="store_true", help="identify live and recorded, by all methods")
     parser.add_argument(
         "--first-start", action="store_true", help="find angle and acceleration of a drive without load machine first"
@@ -252,7 +260,7 @@ def _run(options: argparse.Namespace) -> int:
     bench: Bench | None = None
     try:
         if options.output:
-            prepare_output(options.output, COMPARED if options.compare else REQUESTS)
+            prepare_output(options.output, COMPARED if options.compare else (RECORDED,))
         with telling(_CONSOLE) as tell:
             bench = Bench(drive=options.drive, timeout=options.timeout, tell=tell, arguments=sys.argv)
             if options.clear_fault:

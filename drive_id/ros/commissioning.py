@@ -22,8 +22,8 @@ from drive_id.nodes.support.deferred_service import PacedServices, in_executor
 from drive_id.nodes.support.parameters import declare_settings
 from drive_id.nodes.support.request_server import RequestServer
 from drive_id.nodes.support.runtime import run
-from drive_id.ros.bench import Bench
-from drive_id.ros.bench import Progress as Step
+from drive_id.ros.calls import Progress as Step
+from drive_id.ros.conductor import Conductor
 from drive_id.ros.first_start import Commissioned, commission
 from drive_id.settings import Checked, setting
 from drive_id.types import Progress
@@ -117,7 +117,7 @@ def _first_start(
 
     try:
         tell(stage[0], 0.0)
-        with Bench(namespace, drive=settings.drive, timeout=settings.timeout, tell=step) as bench:
+        with Conductor(namespace, drive=settings.drive, timeout=settings.timeout, tell=step) as bench:
             bench.wait_until_ready(settings.timeout)
             found = commission(bench, folder, folder.name, say, angle_known=angle_known)
         return _Outcome("ok", found.sentence(), commissioned=found)

@@ -18,6 +18,7 @@ from drive_id.core.experiment.settings import FIRST_START, FREE_SHAFT, Experimen
 from drive_id.errors import ExperimentError
 from drive_id.fitting.sources import read_bag
 from drive_id.ros.bench import Bench
+from drive_id.ros.conductor import Conductor
 
 SIGNALS = "signals.yaml"
 PARAMETERS = "trajectory_publisher.yaml"
@@ -82,13 +83,13 @@ class Commissioned:
 
 
 def commission(
-    bench: Bench, folder: Path, name: str, say: Callable[[str, str], None], *, angle_known: bool = False
+    bench: Bench | Conductor, folder: Path, name: str, say: Callable[[str, str], None], *, angle_known: bool = False
 ) -> Commissioned:
     """Run the first start, configure the publisher by its result, and write the files of the result.
 
     Parameters
     ----------
-    bench : Bench
+    bench : Bench or Conductor
         Ready; ``shaft_speed_max`` of its publisher is set.
     folder : Path
         For the files; exists.
@@ -140,7 +141,7 @@ def commission(
 
 
 def _entered(
-    bench: Bench, start: FirstStart, name: str, say: Callable[[str, str], None], *, angle_known: bool
+    bench: Bench | Conductor, start: FirstStart, name: str, say: Callable[[str, str], None], *, angle_known: bool
 ) -> tuple[Encoder, FirstStart]:
     """Enter the angle in the drive and verify it; return what the drive took, and what is left of the offset."""
     before = bench.encoder()
@@ -161,13 +162,13 @@ def _entered(
     return encoder, left
 
 
-def _turned(bench: Bench, name: str) -> FirstStart:
+def _turned(bench: Bench | Conductor, name: str) -> FirstStart:
     """Turn the current vector, and return what it tells of the angle."""
     bench.configure_publisher(trajectory=FIRST_START, repeat=1, angle_offset=0.0)
     return first_start(read_bag(bench.run_experiment(name).uri))
 
 
-def swing_up(bench: Bench, **changes: Any) -> None:
+def swing_up(bench: Bench | Conductor, **changes: Any) -> None:
     """Set the publisher to trajectory ``free_shaft``, with the slew rate that it needs."""
     names = ("i_max", "shaft_acceleration", "shaft_speed_max", "mean_speed", "swing_frequency", "amplitude", "duration")
     values = {key: bench.publisher_value(key) for key in names}
@@ -180,7 +181,7 @@ def swing_up(bench: Bench, **changes: Any) -> None:
 
 
 def _shaken(
-    bench: Bench, start: FirstStart, name: str, i_max: float, limit: float, say: Callable[[str, str], None]
+    bench: Bench | Conductor, start: FirstStart, name: str, i_max: float, limit: float, say: Callable[[str, str], None]
 ) -> tuple[float, float]:
     """Shake the shaft, gently first; return its acceleration by i_max and that without reluctance torque, rad/s^2."""
     share, swung = _GENTLE, False

@@ -152,3 +152,18 @@ def test_blocks_out_of_order_are_neither_lost_by_the_recorder_nor_by_the_fit(ros
 
     recording = read_recording(ros.folder / "bag")
     assert (len(recording.samples), recording.samples.run_starts.tolist()) == (25_700, [0])
+
+
+def test_the_quality_of_service_of_outputs_is_a_parameter_and_that_of_safety_is_not():
+    from rclpy.qos import ReliabilityPolicy
+
+    with ros_bench() as ros:
+        data = {"data_directory": str(ros.folder), "output_directory": str(ros.folder / "out")}
+        given = {"qos_overrides./flux_map.publisher.reliability": "best_effort"}
+        node = ros.host("drive_id.nodes.identification", parameters=data | given).node
+        (info,) = ros.node.get_publishers_info_by_topic("/flux_map")
+        assert info.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+        declared = {name.split(".")[1] for name in node._parameters if name.startswith("qos_overrides.")}
+        assert declared == {"/flux_map", "/flux_map_points", "/fit_report", "/operating_point"}
+        publisher = ros.host("drive_id.nodes.trajectory_publisher").node
+        assert not [name for name in publisher._parameters if name.startswith("qos_overrides.")]

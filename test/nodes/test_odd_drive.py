@@ -181,19 +181,30 @@ def test_of_two_on_one_topic_a_press_counts_and_a_release_only_of_the_last_one(d
 
 @pytest.mark.process
 def test_a_killed_characterize_leaves_no_current_behind(drive, tmp_path):
-    """Nobody else stops a trajectory without end (``repeat`` 0): no heartbeat comes any more, for ``lease_time``."""
+    """The node ``experiment`` gets no heartbeat any more, and ramps down; if that dies, the publisher trips."""
     hosted = [
         drive.ros.host(f"drive_id.nodes.{name}", parameters={"data_directory": str(tmp_path)} | further)
         for name, further in (("recorder", {}), ("identification", {"output_directory": str(tmp_path / "results")}))
     ]
-    client = drive.ros.start("drive_id.ros.characterize")
-    drive.ros.wait(lambda: drive.state.state == "running", "a run")
-    begun = time.monotonic()
-    drive.ros.wait(lambda: drive.heartbeat > begun, "a heartbeat of the client that this test receives, too")
-    assert drive.is_driven()
+    experiment = drive.ros.start("drive_id.ros.experiment")
+
+    def run():
+        client = drive.ros.start("drive_id.ros.characterize", arguments=["--", "--duration", "100.0", "--repeat", "1"])
+        drive.ros.wait(lambda: drive.state.state == "running" and drive.is_driven(), "a run")
+        return client
+
+    client = run()
+    killed = time.monotonic()
     client.popen.kill()
+    drive.ros.wait(lambda: drive.state.state == "idle", "the end of the goal")
+    assert drive.at_zero_since - killed < 3.0 + ALLOWANCE
+    client = run()
+    begun = time.monotonic()
+    drive.ros.wait(lambda: drive.heartbeat > begun, "a heartbeat that this test receives, too")
+    experiment.popen.kill()
     drive.trips("The client that started has sent no heartbeat for")
     flowed = drive.at_zero_since - drive.heartbeat
     assert 1.0 < flowed < 2.4 + ALLOWANCE  # the publisher may have heard the last one before this test
+    client.popen.kill()
     for node in hosted:
         node.end()

@@ -9,7 +9,7 @@ import pytest
 from ros_bench import require_ros, ros_bench
 
 POLICY = Path(__file__).parent.parent.parent / "config" / "sros2" / "drive_id.policy.xml"
-NODES = ("trajectory_publisher", "recorder", "identification", "live_feed")
+NODES = ("trajectory_publisher", "recorder", "identification", "live_feed", "experiment")
 FROM_TIME = {"/clock", "/parameter_events"}
 """Needed with use_sim_time, or of releases of rclpy that listen to parameter events."""
 
@@ -17,12 +17,16 @@ FROM_TIME = {"/clock", "/parameter_events"}
 @pytest.fixture(scope="module")
 def ros():
     require_ros()
+    from drive_id_msgs.msg import DriveStatus
+
     with ros_bench() as bench:
+        bench.node.create_publisher(DriveStatus, "drive_status", 1)  # else nobody records it
         for name in NODES:
-            parameters = {} if name in {"trajectory_publisher", "live_feed"} else {"data_directory": str(bench.folder)}
+            parameters = {"data_directory": str(bench.folder)} if name in {"recorder", "identification"} else {}
             if name == "identification":
                 parameters |= {"output_directory": str(bench.folder / "out")}
-            bench.host(f"drive_id.nodes.{name}", parameters=parameters)
+            room = "ros" if name == "experiment" else "nodes"
+            bench.host(f"drive_id.{room}.{name}", parameters=parameters)
         yield bench
 
 
@@ -68,7 +72,10 @@ def test_the_policy_grants_what_a_node_uses(ros, node):
     assert used(graph.get_service_names_and_types_by_node) == services
 
 
-def test_the_client_may_call_what_it_calls():
-    from drive_id.ros.bench import SERVICES
+def test_the_clients_may_call_what_they_call():
+    from drive_id.ros import bench, conductor
+    from drive_id.ros.calls import OF_PUBLISHER
 
-    assert granted("bench_client")["services", "request"] == {f"/{name}" for name in SERVICES}
+    for client, module in (("bench_client", bench), ("conductor", conductor)):
+        called = {f"/{name}" for name in module.SERVICES | OF_PUBLISHER}
+        assert granted(client)["services", "request"] == called

@@ -76,9 +76,7 @@ def test_a_missing_truth_is_one_sentence(characterize, tmp_path):
 def test_it_says_what_it_waits_for(run):
     done = run("--start-up", "6")
     assert done.returncode == 1
-    waiting = (
-        "waiting for identification and recorder and trajectory_publisher (the first start compiles the numerical "
-    )
+    waiting = "waiting for experiment and identification and recorder and trajectory_publisher (the first start "
     assert done.out.startswith(f"1. The nodes are started.\n     5 s  {waiting}")
     assert done.err.startswith(f"characterize: After 6 s, still {waiting}")
     assert len(done.err.splitlines()) == 1

@@ -31,6 +31,8 @@ if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
 DOMAIN_MARGIN = 1.05
 """Half width of the map by the i_max that is set."""
 _IDLE_CURRENT = 0.02  # of i_max, below which the drive rests
+_LEAST_DISC = 0.5
+"""Radius of a disc relative to that of the map's range from which on the cells of the map resolve it."""
 _SHAPING = (
     "flux_model", "splines_d", "splines_q", "polynomial_degree", "inverter_current_scale", "longest_rest",
     "harmonic_orders", "grid_points",
@@ -174,6 +176,8 @@ class Evidence:
         """
         other = copy.copy(self)
         other.settings = settings or self.settings
+        if other.settings.i_max is not None:
+            other.i_max = other.settings.i_max
         check_live(other.settings.method)
         over_windows = ORIGINS[other.settings.method].windows
         if over_windows and self.windows is None:
@@ -210,9 +214,23 @@ class Evidence:
     def suits(self, settings: FitSettings) -> bool:
         """Tell whether a fit with these settings can use this evidence; raises ConfigurationError for ``static``."""
         check_live(settings.method)
-        shaping = (*_SHAPING, "i_max", "temperatures", "u_dc", "u_dc_reference")
+        shaping = (*_SHAPING, "temperatures", "u_dc", "u_dc_reference")
         same = all(getattr(self.settings, name) == getattr(settings, name) for name in shaping)
-        return same and (self.windows is not None or not ORIGINS[settings.method].windows)
+        return (
+            same
+            and self.resolves(settings.i_max)
+            and (self.windows is not None or not ORIGINS[settings.method].windows)
+        )
+
+    @property
+    def largest_disc(self) -> float:
+        """Radius of the largest disc within the range of the map, A."""
+        return min(self.d.high, -self.d.low, self.q.high, -self.q.low) / DOMAIN_MARGIN
+
+    def resolves(self, i_max: float | None) -> bool:
+        """Tell whether the map can be of a disc of another radius, A: within its range, and not much smaller."""
+        largest = self.largest_disc
+        return i_max is not None and _LEAST_DISC * largest <= i_max * (1 + 1e-9) and i_max <= largest * (1 + 1e-9)
 
     def difference(self, other: Evidence, this: str = "in one", that: str = "in the other") -> str:
         """Return what keeps this evidence and the other from being merged; empty if nothing does."""

@@ -7,11 +7,14 @@ import math
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Any
 
 from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
 from drive_id.core.experiment.state_machine import Experiment, ExperimentState, ReferenceBlock
 from drive_id.core.experiment.watchdog import Fault, Watchdog
+from drive_id.errors import ConfigurationError
 from drive_id.health import Health, Level
 from drive_id.types import NANOSECONDS, FloatArray
 
@@ -48,6 +51,7 @@ class Report:
     mean_speed: float = math.nan  # of a free shaft, electrical, rad/s
     mean_speed_reference: float = math.nan
     bias: float = math.nan  # mean of i_q relative to its amplitude
+    completed: bool = False  # the last run reached its end: nothing stopped or tripped it
 
 
 def rehearse(settings: ExperimentSettings) -> None:
@@ -71,7 +75,7 @@ class SupervisedExperiment:
         rehearse(settings)
         self._experiment = Experiment(settings)
         self._watchdog = Watchdog(settings, names)
-        self._settings = settings
+        self._settings, self._changed = settings, False
         self._duration = total_duration(settings, make_trajectory(settings))
         self._heartbeat = -math.inf
         self._leased = self._rest = False
@@ -89,29 +93,53 @@ class SupervisedExperiment:
         return self._experiment.session
 
     def plan(self) -> str:
-        """Describe the experiment that a start runs."""
-        settings, seconds = self._settings, self._duration
+        """Describe the experiment that a start runs, or that has been started."""
+        settings, seconds = self._experiment.settings, self._duration
         how_long = "until it is stopped" if math.isinf(seconds) else f"for {seconds:.4g} s"
         dry = ", published to nobody (dry_run)" if self._dry_run else ""
         return f"{settings.trajectory} within {settings.i_max:g} A {how_long}{dry}"
 
     def start(
-        self, now: int, steady: float, publishers: int = 1, *, dry_run: bool = False, require_lease: bool = False
+        self,
+        now: int,
+        steady: float,
+        publishers: int = 1,
+        *,
+        dry_run: bool = False,
+        require_lease: bool = False,
+        run: Mapping[str, Any] = MappingProxyType({}),
     ) -> Answer:
         """Start, or return why not.
 
-        ``publishers`` counts those of references, this one included; the options cannot loosen the settings.
+        ``publishers`` counts those of references, this one included; the options cannot loosen the settings. ``run``
+        holds settings of this run alone, instead of those of the same names.
         """
         self._watchdog.publishers = publishers
         leased = steady - self._heartbeat <= self._settings.lease_time
         refused = self._refused(now, steady)
         if refused is None and (require_lease or self._settings.require_lease) and not leased:
             refused = "no_heartbeat", "Not started: require_lease is set, and nobody sends heartbeats on ~/heartbeat."
+        refused = refused or self._configured(run)
         if refused is not None:
             return Answer(*refused)
         self._leased, self._dry_run = leased, dry_run or self._settings.dry_run
         self._experiment.start(now, next(_SESSIONS))
         return Answer("ok", f"Started: {self.plan()}.")
+
+    def _configured(self, run: Mapping[str, Any]) -> tuple[str, str] | None:
+        """Configure a run; return code and sentence of why it is not possible, if so."""
+        try:
+            settings = replace(self._settings, **run) if run else self._settings
+        except ConfigurationError as error:
+            return "configuration", f"Not started: {error}"
+        if settings.i_max > self._settings.i_max:
+            most = f"the parameter of trajectory_publisher, {self._settings.i_max:g} A"
+            return "limit", f"Not started: i_max is {settings.i_max:g} A, more than {most}."
+        if settings != self._experiment.settings:
+            self._take(settings)
+        if (fault := self._watchdog.start_fault()) is not None:
+            return "limit", f"Not started: {fault.reason}"
+        return None
 
     def _refused(self, now: int, steady: float) -> tuple[str, str] | None:
         """Return code and sentence of what forbids any start."""
@@ -124,8 +152,6 @@ class SupervisedExperiment:
             return "tripped", f"Not started: it tripped before. {self.trip_reason} {_CLEAR}"
         if (fault := self._watchdog.fault(now, steady)) is not None:
             return "fault", f"Not started: {fault.reason}"
-        if (fault := self._watchdog.start_fault()) is not None:
-            return "limit", f"Not started: {fault.reason}"
         return None
 
     def stop(self, now: int) -> Answer:
@@ -155,8 +181,7 @@ class SupervisedExperiment:
 
     def change(self, now: int, settings: ExperimentSettings) -> None:
         """Change the settings; a running experiment is stopped first."""
-        self._settings = settings
-        self._duration = total_duration(settings, make_trajectory(settings))
+        self._settings, self._changed = settings, True
         self._experiment.stop(now, "Stopped, because parameters were changed.")
         self._take_settings()
 
@@ -248,14 +273,16 @@ class SupervisedExperiment:
         i_dq, state = experiment.current(now), experiment.state(now)
         elapsed = experiment.elapsed(now)
         feedback = experiment.feedback
-        shaft = () if feedback is None else (feedback.mean.value, feedback.reference, feedback.bias)
+        shaft = (math.nan,) * 3 if feedback is None else (feedback.mean.value, feedback.reference, feedback.bias)
+        completed = state is ExperimentState.IDLE and experiment.session > 0 and not experiment.stop_reason
         return Report(
-            state, reason, experiment.session, elapsed, self._duration, i_dq, experiment.coverage, self._dry_run, *shaft
-        )
+            state, reason, experiment.session, elapsed, self._duration, i_dq, experiment.coverage, self._dry_run,
+            *shaft, completed,
+        )  # fmt: skip
 
     def health(self, now: int, steady: float) -> Health:
         """Return state, time, set-point and coverage."""
-        settings, report = self._settings, self.report(now, steady)
+        settings, report = self._experiment.settings, self.report(now, steady)
         values = {
             "state": report.state.value,
             "trajectory": settings.trajectory,
@@ -283,7 +310,7 @@ class SupervisedExperiment:
 
     def _progress(self, report: Report) -> str:
         """Return how far a running experiment is."""
-        if not self._settings.covers_disc:
+        if not self._experiment.settings.covers_disc:
             return f"{report.elapsed:.1f} of {report.duration:.1f} s"
         return f"{100 * report.coverage:.0f} % of the disc visited"
 
@@ -294,6 +321,11 @@ class SupervisedExperiment:
         return True
 
     def _take_settings(self) -> None:
-        if not self._experiment.active and self._experiment.settings is not self._settings:
-            self._experiment.configure(self._settings)
-            self._watchdog.settings = self._settings
+        if not self._experiment.active and self._changed:
+            self._take(self._settings)
+
+    def _take(self, settings: ExperimentSettings) -> None:
+        self._changed = False
+        self._experiment.configure(settings)
+        self._watchdog.settings = settings
+        self._duration = total_duration(settings, make_trajectory(settings))

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
@@ -82,6 +83,8 @@ class Provenance:
     date: str = ""  # of the last sample, ISO 8601 in UTC; of the fit, where the stamps are not times of day
     versions: Mapping[str, str] = field(default_factory=dict)  # of the software that made it; empty: of this process
     temperature: float | None = None  # of the winding, degrees C, to which R refers; None: as in the experiment
+    last_stamp: int = 0  # of the last sample, ns; 0 where it is not known
+    session: int = 0  # of the references under which it was recorded
 
 
 def write_results(
@@ -115,11 +118,25 @@ def read_results(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
 
     Raises ResultError when it is not a result folder, is damaged, or was written by a newer version.
     """
-    try:
+    with _told(directory):
         try:
             return _read(directory)
         except _MixedError:
             return _read(directory)  # it may have been replaced between the first file and the last
+
+
+def read_outline(directory: Path) -> tuple[dict[str, Any], Provenance]:
+    """Read ``identification.json`` of a result folder, without the map; raises as :func:`read_results` does."""
+    with _told(directory):
+        tree = _tree(directory)
+        return tree, _provenance(tree, str(directory))
+
+
+@contextmanager
+def _told(directory: Path) -> Iterator[None]:
+    """Raise ResultError for whatever is wrong with the files that are read in the body."""
+    try:
+        yield
     except _DAMAGE as error:
         if isinstance(error, ResultError) and not isinstance(error, _MixedError):
             raise
@@ -201,6 +218,8 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
         "speed_range": known.speed_range,
         "duration": known.duration,
         "date": known.date,
+        "last_stamp": known.last_stamp,
+        "session": known.session,
         "resistance": identification.resistance,
         "resistance_temperature": known.temperature,
         "sigma_resistance": identification.sigma_resistance,
@@ -412,9 +431,17 @@ def _provenance(tree: Mapping[str, Any], where: str) -> Provenance:
         speed_range=None if speeds is None else (float(speeds[0]), float(speeds[1])),
         duration=None if not tree.get("duration") else _positive(tree, "duration"),
         date=str(tree.get("date", "")),
+        last_stamp=_count(tree.get("last_stamp", 0), 63),
+        session=_count(tree.get("session", 0), 64),
         versions=dict(tree["versions"]),
         temperature=None if tree.get("resistance_temperature") is None else _number(tree["resistance_temperature"]),
     )
+
+
+def _count(value: Any, bits: int) -> int:
+    if type(value) is not int or not 0 <= value < 1 << bits:
+        raise ValueError(f"a stamp or a session is {value!r:.40}")
+    return value
 
 
 def _positive(tree: Mapping[str, Any], name: str, most: float = np.finfo(np.float64).max) -> float:

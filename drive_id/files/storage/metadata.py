@@ -23,6 +23,10 @@ _MOST_FILES = 20_000  # a file a minute for two weeks
 _MOST_TOPICS = 20_000  # far more than any robot has
 
 
+WRITTEN = "samples_written:"
+"""How entries of ``custom_data`` begin that our recorder writes for each topic."""
+
+
 class ChangeMark(NamedTuple):
     """Where our recorder saw another drive begin: log time of the first message, ns, and why."""
 
@@ -39,6 +43,9 @@ class BagMetadata:
     types: dict[str, str]
     message_compression: str
     changes: tuple[ChangeMark, ...] = ()
+    begin: int = 0  # log time of the first message, ns
+    duration: int = 0  # ns
+    ours: bool = False  # our recorder has completed it
 
 
 def read_metadata(path: Path) -> BagMetadata:
@@ -74,7 +81,18 @@ def _parsed(path: Path) -> BagMetadata:
     mode, form = information.get("compression_mode"), information.get("compression_format")
     compression = form if isinstance(mode, str) and mode.lower() == "message" and isinstance(form, str) else ""
     names = tuple(PurePosixPath(name).name for name in files)
-    return BagMetadata(names, counts, types, compression, tuple(_changes(information.get("custom_data"))))
+    custom, begin = information.get("custom_data"), information.get("starting_time")
+    return BagMetadata(
+        names, counts, types, compression, tuple(_changes(custom)),
+        begin=_nanoseconds(begin, "nanoseconds_since_epoch"),
+        duration=_nanoseconds(information.get("duration"), "nanoseconds"),
+        ours=isinstance(custom, dict) and any(str(key).startswith(WRITTEN) for key in custom),
+    )  # fmt: skip
+
+
+def _nanoseconds(tree: Any, key: str) -> int:
+    value = tree.get(key) if isinstance(tree, dict) else None
+    return value if type(value) is int and 0 <= value < 1 << 63 else 0
 
 
 def _changes(custom: Any) -> Iterator[ChangeMark]:

@@ -20,6 +20,7 @@ from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RES
 from drive_id.files.messages.signals_file import SignalMap, our_scalar, read_signals
 from drive_id.files.read.block_stream import BlockStream
 from drive_id.files.results.folder import check_output
+from drive_id.files.results.identification import Provenance
 from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.completion import completed
 from drive_id.fitting.fit import fit_bags
@@ -52,10 +53,10 @@ class Reply:
     message: str  # a sentence
     identification: IdentifiedDrive | None = None  # unless there was an error
     warnings: tuple[Message, ...] = ()  # about the samples and about the fit
-    machine: str = ""  # empty when unknown
     stamp: int = 0  # of the last sample, ns
     output: str = ""  # folder of the result files
     samples: JoinReport | None = None  # what became of the live signals, also without success
+    provenance: Provenance | None = None  # of the result
     refit: Refit | None = None  # the fit of the live samples, for later ones to start from
     provisional: bool = False  # nobody requested it: the result of a fit in the background
 
@@ -177,6 +178,11 @@ class Identifier:
         signals: str = "",
         names: Mapping[str, str] = MappingProxyType({}),
         part: str = "",
+        *,
+        i_max: float = 0.0,
+        temperatures: Sequence[float] = (),
+        u_dc: Sequence[float] = (),
+        session: int = 0,
     ) -> Job:
         """Make a job of a request, to be run in another thread.
 
@@ -192,6 +198,12 @@ class Identifier:
             Of machine, serial, bench, operator and notes; those that are empty are as in the settings.
         part : str
             Of live samples of two drives: those of the one ``before`` or ``after`` the change.
+        i_max : float
+            Radius of the disc, A; 0: as in the settings.
+        temperatures, u_dc : sequence of float
+            Of each bag; empty: as in the settings.
+        session : int
+            Of the references, for the result; 0: not known.
 
         Raises
         ------
@@ -202,21 +214,29 @@ class Identifier:
         """
         fit = replace(self.live.settings, method=method or self.live.settings.method)
         given: dict[str, Any] = {name: text for name, text in names.items() if text}
+        conditions = {"temperatures": tuple(temperatures), "u_dc": tuple(u_dc)}
+        conditions = {name: values for name, values in conditions.items() if values}
+        given |= {**conditions, **({"i_max": i_max} if i_max else {})}
         named = replace(fit, **given)
         if bags:
             if part:
                 raise ConfigurationError("The request names a part and bags: a part is of the live samples only.")
             own = read_signals(Path(signals).expanduser()) if signals else self._signals()
-            work = partial(_fit_bags, tuple(bags), own, bool(signals), named, self.settings)
+            work = partial(_fit_bags, tuple(bags), own, bool(signals), named, self.settings, session)
             return partial(_guarded, self.folders, work)
         if signals:
             raise ConfigurationError("The request names a signals file, but no bags: it is for bags only.")
+        if conditions:
+            raise ConfigurationError(
+                f"The request gives {' and '.join(conditions)}, but no bags: live samples are summed by the parameters."
+            )
         live = self._parts.chosen(part)
-        snapshot = live.snapshot(method)
+        snapshot = live.snapshot(method, i_max)
+        fit = snapshot.gathered.evidence.settings
         samples = moving(snapshot.gathered.evidence) + sum(len(piece.samples) for piece in snapshot.rest)
         earlier = self.refits.earlier(fit, samples) if live is self.live else None
         surest = self.refits.surest if live is self.live and fit == self.live.settings else None
-        work = partial(_fit_live, snapshot, earlier, named, self.settings, self._forgotten, part, surest)
+        work = partial(_fit_live, snapshot, earlier, named, self.settings, self._forgotten, part, surest, session)
         return partial(_guarded, self.folders, work)
 
     def refit(self) -> RefitJob | None:
@@ -296,9 +316,8 @@ class Identifier:
 
 def again(last: LastMap) -> Reply:
     """Return the reply of a result that was read from its folder."""
-    said = f"Published again from {last.folder}: {_sentence(last.result.drive)}"
-    result = last.result
-    return Reply("ok", said, result.drive, result.warnings, result.machine, last.stamp, str(last.folder))
+    reply = _reply(last.result, last.folder)
+    return replace(reply, message=f"From {last.folder}: {reply.message}", stamp=last.stamp)
 
 
 def failed(error: DriveIdError, samples: JoinReport | None = None) -> Reply:
@@ -337,6 +356,7 @@ def _fit_bags(
     wanted: bool,
     fit: FitSettings,
     settings: IdentificationSettings,
+    session: int,
     tell: Progress,
 ) -> Reply:
     """Fit recordings by the signals of this drive where they have its topics, or by those ``wanted``."""
@@ -346,15 +366,21 @@ def _fit_bags(
     topics = {own.currents.topic, own.voltages.topic, own.resolver.topic}
     signals = own if wanted or all(_holds(path, topics) for path in paths) else None
     sources = Sources(paths, signals)
-    result = fit_bags(sources, output, fit, tell=tell)
-    if settings.picture:
-        result.save(output, draw=True)
+    result = _of_session(fit_bags(sources, output, fit, tell=tell), session)
+    if settings.picture or session:
+        result.save(output, draw=settings.picture)
     return _reply(result, output)
 
 
+def _of_session(result: Identification, session: int) -> Identification:
+    return replace(result, provenance=replace(result.provenance, session=session))
+
+
 def _reply(result: Identification, output: Path, samples: JoinReport | None = None) -> Reply:
-    drive, machine = result.drive, result.machine
-    return Reply("ok", _sentence(drive), drive, result.warnings, machine, result.last_stamp, str(output), samples)
+    return Reply(
+        "ok", _sentence(result.drive), result.drive, result.warnings, result.last_stamp, str(output), samples,
+        result.provenance,
+    )  # fmt: skip
 
 
 def _holds(path: Path, topics: set[str]) -> bool:
@@ -370,6 +396,7 @@ def _fit_live(
     forgotten: str,
     part: str,
     surest: tuple[int, float] | None,
+    session: int,
     tell: Progress,
 ) -> Reply:
     output = new_folder(settings, fit.method)
@@ -390,7 +417,8 @@ def _fit_live(
         warnings=snapshot.join.report().warnings,
     )
     tell("Writing", None)
-    replace(result, evidence=evidence).save(output, draw=settings.picture)
+    result = _of_session(replace(result, evidence=evidence), session)
+    result.save(output, draw=settings.picture)
     reply = _reply(result, output, snapshot.join.report())
     said = f"Of the samples {part} the change: {reply.message}" if part else reply.message
     return replace(reply, message=said, refit=None if part == BEFORE else refit)

@@ -115,13 +115,15 @@ class LiveEvidence:
     def configure(self, settings: FitSettings) -> bool:
         """Take other settings, and tell whether the samples had to be forgotten.
 
-        They are kept where only settings of the solution change, and where method full, whose evidence serves all
-        methods, is replaced by another one.
+        They are kept where only settings of the solution change, where the map resolves the disc of another i_max, and
+        where method full, whose evidence serves all methods, is replaced by another one.
         """
         self.settings = settings
         lost = settings.i_max is not None if self.evidence is None else not self.evidence.suits(settings)
         if lost:
             self.reset()
+        elif self.evidence is not None and settings.i_max is not None:
+            self.evidence.i_max = settings.i_max
         return lost
 
     def add(self, section: int, piece: Signal) -> None:
@@ -137,25 +139,33 @@ class LiveEvidence:
             for piece in pieces:
                 self._gathered.add(piece)
 
-    def snapshot(self, method: str = "") -> Snapshot:
+    def snapshot(self, method: str = "", i_max: float = 0.0) -> Snapshot:
         """Return what has arrived so far, to be fitted in another thread.
 
         Parameters
         ----------
         method : str
             Empty: that of the settings.
+        i_max : float
+            Radius of the disc, A; 0: that of the settings.
 
         Raises
         ------
         ConfigurationError
-            When i_max is not set, or there is no such method.
+            When i_max is not set, the map does not resolve the disc, or there is no such method.
         """
-        settings = replace(self.settings, method=method or self.settings.method)
+        settings = replace(self.settings, method=method or self.settings.method, i_max=i_max or self.settings.i_max)
         settings.check_recordings(1)
         if self._gathered is None:
             raise ConfigurationError(
                 "i_max is not set, and live samples need it in advance: set it to the radius of the trajectory's "
                 "current disc in A, or give bags."
+            )
+        largest = self._gathered.evidence.largest_disc
+        if not self._gathered.evidence.resolves(settings.i_max):
+            raise ConfigurationError(
+                f"i_max is {settings.i_max:g} A, and the live samples are summed for {largest:g} A: ask for half of "
+                "that to all of it, or give the recording."
             )
         join, rest = self.join.finished()
         return Snapshot(join, self._gathered.copy(settings), tuple(rest))

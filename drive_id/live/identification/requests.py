@@ -20,6 +20,7 @@ _PERIOD = 1.0  # s between feedbacks that say nothing new
 _STAGES: Final = {
     "Reading": (0.0, 0.05), "Accumulating": (0.05, 0.6), "Solving": (0.6, 0.95), "Writing": (0.95, 1.0),
     "Turning": (0.0, 0.8), "Shaking": (0.8, 1.0),  # a first start
+    "waiting": (0.0, 0.05), "trajectory": (0.05, 0.6), "stopping": (0.6, 0.65), "identifying": (0.65, 1.0),
 }  # fmt: skip
 _USUAL_STEPS = 60.0  # of a solution by method full
 
@@ -45,8 +46,9 @@ class Request:
 class _Running:
     """A request under way, and why it is to end, if so."""
 
-    def __init__(self, request: Request, worker: Worker[Reply], now: float) -> None:
+    def __init__(self, request: Request, worker: Worker[Reply], now: float, patience: float) -> None:
         self.request = request
+        self.patience = patience
         self.worker = worker
         self.begun = now
         self.ending: Reply | None = None
@@ -57,8 +59,12 @@ class _Running:
     def end(self, reply: Reply, now: float) -> None:
         """Have the job end, and reply so when it has, or when patience is over."""
         if self.ending is None:
-            self.ending, self.patient_until = reply, now + PATIENCE
+            self.ending, self.patient_until = reply, now + self.patience
             self.worker.cancel()
+
+    def ended(self) -> Reply | None:
+        """Return the reply of a job that was told to end, once it has: its own, if it has one."""
+        return None if self.worker.busy else self.worker.left or self.ending
 
     def look(self) -> Stage:
         """Return how far the request is; the share never decreases."""
@@ -82,11 +88,23 @@ class Requests:
         Longest time for one request, s; 0: unlimited.
     call : callable
         Has the thread of this object make a call.
+    patience : float, optional
+        For a cancelled job to end by itself, s.
+    pace : float, optional
+        Time between reports of how far a request is, s; default: whenever that has changed.
     """
 
-    def __init__(self, time_limit: float, call: Callable[[Callable[[], None]], None]) -> None:
+    def __init__(
+        self,
+        time_limit: float,
+        call: Callable[[Callable[[], None]], None],
+        *,
+        patience: float | None = None,
+        pace: float | None = None,
+    ) -> None:
         self._limit = time_limit
         self._call = call
+        self._patience, self._pace = PATIENCE if patience is None else patience, pace
         self._running: _Running | None = None
         self._waiting: Request | None = None
         self._waiting_told = 0.0
@@ -133,8 +151,9 @@ class Requests:
             said = f"The fit took longer than time_limit, {self._limit:g} s: give fewer recordings, or raise the limit."
             running.end(Reply("time_limit", said), now)
         if running.ending is not None:
-            if not running.worker.busy or now > running.patient_until:
-                self._end(running, running.ending)
+            reply = running.ended() or (running.ending if now > running.patient_until else None)
+            if reply is not None:
+                self._end(running, reply)
             return
         self._feed_back(running, now)
 
@@ -163,7 +182,7 @@ class Requests:
         except DriveIdError as error:
             request.finish(failed(error))
             return
-        running = self._running = _Running(request, Worker(), time.monotonic())
+        running = self._running = _Running(request, Worker(), time.monotonic(), self._patience)
         running.worker.start(job, lambda reply: self._call(lambda: self._end(running, reply)))
 
     def _end(self, running: _Running, reply: Reply) -> None:
@@ -179,7 +198,9 @@ class Requests:
 
     def _feed_back(self, running: _Running, now: float) -> None:
         before, stage, begun = running.stage, running.look(), bool(running.worker.progress[0])
-        if running.request.tell is not None and begun and (stage != before or now - running.told > _PERIOD):
+        news, since = self._pace is None and stage != before, now - running.told
+        due = news or since >= (self._pace or _PERIOD)
+        if running.request.tell is not None and begun and due:
             running.told = now
             running.request.tell(stage)
         waiting = self._waiting

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 import shutil
 from dataclasses import dataclass
@@ -10,14 +11,15 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from drive_id.errors import DriveIdError
+from drive_id.errors import ConfigurationError, DriveIdError, OutputError, ResultError
 from drive_id.files.results.folder import is_result, replace_file
+from drive_id.files.results.identification import Provenance, read_outline
 from drive_id.fitting.result import Identification, load
 from drive_id.health import Level, Observation
 from drive_id.live.data_directory import free_path
 from drive_id.live.identification.identification_settings import IdentificationSettings
 
-_FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_(psm|joint|full)(_\d+)?", re.ASCII)
+_FOLDER = re.compile(r"\d{4}-\d\d-\d\d_\d\d-\d\d-\d\d_(psm|joint|full|locked)(_\d+)?", re.ASCII)
 _FORMAT = "drive_id/last_map"
 _LONGEST_NOTE = 10_000  # bytes
 
@@ -29,6 +31,19 @@ class LastMap:
     result: Identification
     folder: Path
     stamp: int
+
+
+@dataclass(frozen=True, eq=False)
+class FoundResult:
+    """What a result folder tells without its map."""
+
+    folder: Path
+    method: str
+    provenance: Provenance
+    resistance: float  # ohm
+    sigma_resistance: float
+    i_max: float  # A
+    coverage: float
 
 
 class ResultFolders:
@@ -63,6 +78,51 @@ class ResultFolders:
             self._trouble = f"The last map is not published again: {error}"
             return None
 
+    def find(self, machine: str, serial: str, most: int) -> tuple[list[FoundResult], int]:
+        """Return the newest results, those of a machine or serial number if named, and how many there are.
+
+        Raises
+        ------
+        OutputError
+            When the folder of the results cannot be read.
+        """
+        try:
+            paths = [path for path in self._base.iterdir() if self._is_own(path)] if self._base.exists() else []
+            paths.sort(key=_age, reverse=True)
+        except OSError as error:
+            raise OutputError(f"{self._base} cannot be read ({error.strerror or error}).") from error
+        if not (machine or serial):
+            return [found for path in paths[:most] if (found := _outline(path)) is not None], len(paths)
+        all_found = [found for path in paths if (found := _outline(path)) is not None]
+        fits = [
+            each for each in all_found
+            if machine in {"", each.provenance.machine} and serial in {"", each.provenance.settings.serial}
+        ]  # fmt: skip
+        return fits[:most], len(fits)
+
+    def get(self, folder: str, machine: str, serial: str) -> LastMap:
+        """Return the result in a folder, or the newest one that fits, see :meth:`find`.
+
+        Raises
+        ------
+        ConfigurationError
+            When the folder is not one of a node's results.
+        ResultError
+            When there is no such result, or it is damaged.
+        """
+        if folder:
+            path = self._base / folder
+            if path.parent != self._base or not self._is_own(path):
+                raise ConfigurationError(f"'{folder}' is not a result in {self._base}: see ~/list_results.")
+        else:
+            found, _ = self.find(machine, serial, 1)
+            if not found:
+                of = f" of machine '{machine}', serial '{serial}'" if machine or serial else ""
+                raise ResultError(f"There is no result{of} in {self._base}.")
+            path = found[0].folder
+        result = load(path)
+        return LastMap(result, path, result.last_stamp)
+
     def tidy(self) -> None:
         """Remove the oldest folders beyond the quota, but none that a node would publish again.
 
@@ -86,6 +146,16 @@ class ResultFolders:
     def findings(self) -> list[Observation]:
         """Return what is wrong with the folders."""
         return [(Level.WARN, self._trouble)] if self._trouble else []
+
+
+def _outline(path: Path) -> FoundResult | None:
+    """Return what a folder holds; None if it is damaged, or was removed meanwhile."""
+    try:
+        tree, provenance = read_outline(path)
+        numbers = [tree["resistance"], tree["sigma_resistance"], tree["i_max"], tree["metrics"]["coverage"]]
+    except (ResultError, KeyError):
+        return None
+    return FoundResult(path, str(tree["method"]), provenance, *(math.nan if x is None else float(x) for x in numbers))
 
 
 def new_folder(settings: IdentificationSettings, method: str) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from drive_id.files.storage.metadata import WRITTEN
 from drive_id.messages import Message
 from drive_id.types import NANOSECONDS
 
@@ -123,7 +124,7 @@ class RecordingReport:
         data = {}
         for topic in self.topics:
             data[f"samples_received:{topic.topic}"] = str(topic.received)
-            data[f"samples_written:{topic.topic}"] = str(topic.written)
+            data[f"{WRITTEN}{topic.topic}"] = str(topic.written)
             data[f"samples_lost:{topic.topic}"] = str(topic.dropped)
         if self.changes:
             data["recordings"] = str(len(self.changes) + 1)

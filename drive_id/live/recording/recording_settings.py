@@ -45,10 +45,15 @@ class RecordingSettings(Checked):
         minimum=0.0, maximum=3600.0,
     )  # fmt: skip
 
+    state_topics: tuple[str, ...] = setting(
+        ("drive_status", "trajectory_publisher/state", "fit_report"),
+        "Topics that tell what happened meanwhile: recorded where somebody publishes them",
+    )
     extra_topics: tuple[str, ...] = setting(
         (), "Further topics to record, of any type; the type is looked up when the topic has a publisher"
     )
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "extra_topics", tuple(self.extra_topics))  # a list, as files hold it
+        for name in ("state_topics", "extra_topics"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))  # lists, as files hold them
         super().__post_init__()

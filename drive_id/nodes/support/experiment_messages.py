@@ -14,7 +14,9 @@ from drive_id.nodes.support.signal_messages import headed
 from drive_id.types import NANOSECONDS
 
 _STATUS = tuple(name for name in feedback.DriveStatus.__dataclass_fields__ if name != "stamp")
-_REPORTED = ("session", "dry_run", "elapsed", "duration", "coverage", "mean_speed", "mean_speed_reference", "bias")
+_REPORTED = (
+    "session", "dry_run", "elapsed", "duration", "coverage", "mean_speed", "mean_speed_reference", "bias", "completed",
+)  # fmt: skip
 
 
 def stamp_of(message: PhaseCurrents | Resolver | DriveStatus | CurrentReference) -> int:

@@ -36,18 +36,20 @@ class ExtraTopics:
         self._receive = receive
         self._depth = depth
         self._wanted: list[str] = []
+        self._needed: list[str] = []
         self._subscriptions: dict[str, MatchedSubscription] = {}
         self._recorded: dict[str, RecordedTopic] = {}
         self._latched: dict[str, deque[bytes]] = {}
         self._troubles: dict[str, str] = {}
 
-    def want(self, names: Sequence[str]) -> None:
+    def want(self, names: Sequence[str], perhaps: Sequence[str] = ()) -> None:
         """Take other topics, relative or absolute; subscriptions stay until the process ends.
 
-        Raises ConfigurationError when a name is none.
+        That nobody publishes one of ``perhaps`` is no trouble. Raises ConfigurationError when a name is none.
         """
-        wanted = self.resolved(names)
-        self._wanted = [name for name in dict.fromkeys(wanted) if name not in self._own]
+        self._needed = self.resolved(names)
+        wanted = dict.fromkeys([*self._needed, *self.resolved(perhaps)])
+        self._wanted = [name for name in wanted if name not in self._own]
         self._troubles = {}
 
     def resolved(self, names: Sequence[str]) -> list[str]:
@@ -91,7 +93,8 @@ class ExtraTopics:
 
     def findings(self) -> list[Observation]:
         """Return the topics that nobody publishes, or whose type is not installed."""
-        missing = [name for name in self._wanted if name not in self._subscriptions and name not in self._troubles]
+        missing = [name for name in self._wanted if name in self._needed and name not in self._subscriptions]
+        missing = [name for name in missing if name not in self._troubles]
         said = [f"Nobody publishes the extra topic {name}." for name in missing]
         return [(Level.WARN, sentence) for sentence in (*self._troubles.values(), *said)]
 

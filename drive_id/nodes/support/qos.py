@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
+from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 # What is not given is as in rclpy: the last messages are kept, reliable, and volatile.
@@ -15,6 +16,10 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """The flux map: late subscribers get the last one."""
 SERVICE = QoSProfile(depth=10_000)
 """Of services: the default keeps the last 10 requests, and whoever sent one before waits in vain."""
+
+OVERRIDABLE = QoSOverridingOptions.with_default_policies()
+"""For topics that displays and bridges subscribe to: history, depth and reliability are parameters, read at the start
+(``qos_overrides./flux_map.publisher.reliability``). References, feedback and what stops a drive have none."""
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 """Name that the middleware gives to the node of an endpoint before it knows better."""

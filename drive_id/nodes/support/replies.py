@@ -6,18 +6,21 @@ import array
 import json
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drive_id_msgs.msg import FitReport, FluxMap, OperatingPoint
+from drive_id_msgs.msg import FitReport, FluxMap, OperatingPoint, ResultInfo
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2, PointField
 
 from drive_id.core.result.identification import IdentifiedDrive
+from drive_id.files.results.identification import Provenance
 from drive_id.live.identification.identifier import Reply
 from drive_id.live.identification.operating_points import Point
+from drive_id.live.identification.result_folders import FoundResult
 from drive_id.messages import Message
-from drive_id.nodes.support.signal_messages import headed
+from drive_id.nodes.support.signal_messages import headed, time_of
 
 _OF_MECHANICS = {
     name: name
@@ -30,6 +33,9 @@ _OF_MECHANICS = {
 
 NAMES = {name: name for name in ("machine", "serial", "bench", "notes")} | {"operator": "operator_name"}
 """Settings of a fit that name it, and fields of a request; ``operator`` is a word of C++."""
+
+_OF_BAG = {".mcap", ".db3"}
+"""Suffixes of the files of a bag."""
 
 FIELDS = ("x", "y", "z", "i_d", "i_q", "psi_d", "psi_q", "sigma", "coverage")
 """Of each point, float32; see :func:`flux_map_points`."""
@@ -44,7 +50,10 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
     headed(message, reply.stamp, frame_id)
     message.method = identification.method
     message.provisional = reply.provisional
-    message.machine = reply.machine
+    message.folder = reply.output
+    if reply.provenance is not None:
+        message.machine, message.serial = reply.provenance.machine, reply.provenance.settings.serial
+        message.session, message.recordings = reply.provenance.session, recordings(reply.provenance)
     flux_map = identification.flux_map
     for name in ("i_d", "i_q", "psi_d", "psi_q", "sigma_d", "sigma_q"):
         setattr(message, name, _doubles(getattr(flux_map, name)))
@@ -67,7 +76,7 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
 
 def fit_report_message(reply: Reply) -> FitReport:
     """Return the report of the fit, or of the samples only if the request failed."""
-    message = FitReport()
+    message = FitReport(folder=reply.output, stamp=time_of(reply.stamp))
     _fill_warnings(message, reply.warnings)
     mechanics = reply.identification.mechanics if reply.identification is not None else None
     for field, name in _OF_MECHANICS.items():
@@ -114,6 +123,25 @@ def fill(response: Any, reply: Reply, frame_id: str) -> Any:
     response.report = fit_report_message(reply)
     response.output = reply.output
     return response
+
+
+def recordings(provenance: Provenance) -> list[str]:
+    """Return the recordings that a result is of: bags, and files that are no part of one."""
+    paths = (Path(file) for file in provenance.inputs)
+    return list(dict.fromkeys(str(path.parent if path.suffix in _OF_BAG else path) for path in paths))
+
+
+def result_info(found: FoundResult) -> ResultInfo:
+    """Return the message of a result in a list."""
+    known = found.provenance
+    message = ResultInfo(
+        folder=str(found.folder), date=known.date, method=found.method, machine=known.machine, session=known.session,
+        recordings=recordings(known),
+        **{NAMES[name]: getattr(known.settings, name) for name in NAMES if name != "machine"},
+    )  # fmt: skip
+    for name in ("resistance", "sigma_resistance", "i_max", "coverage"):
+        setattr(message, name, getattr(found, name))
+    return message
 
 
 def flux_map_points(flux_map: FluxMap) -> PointCloud2:

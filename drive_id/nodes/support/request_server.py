@@ -1,4 +1,4 @@
-"""Requests that take long, by a service and by an action: its goals have progress, and can be cancelled."""
+"""Requests that take long, by an action and by a service: goals have progress, and can be cancelled."""
 
 from __future__ import annotations
 
@@ -35,38 +35,45 @@ class _HoldingServer(ActionServer):
 
 
 class RequestServer:
-    """Serves requests by a service and an action of one name.
+    """Serves requests by an action and, if given, by a service of the same name.
 
     Parameters
     ----------
-    service, action : type
-        The feedback of the action has ``stage``, ``progress`` and ``message``.
     make : callable
         Returns the job of a request, of either kind.
     fill : callable
         Fills a response or result with a reply, and returns it.
+    feedback : callable, optional
+        Makes the feedback of the action; without it, that has ``stage``, ``progress`` and ``message``.
+    may_wait : bool
+        A goal may wait for the request under way.
     """
 
     def __init__(
         self,
         node: Node,
         services: PacedServices,
-        service: Any,
+        service: Any | None,
         action: Any,
         name: str,
         requests: Requests,
         make: Callable[[Any], Job],
         fill: Callable[[Any, Reply], Any],
+        *,
+        feedback: Callable[[Stage], Any] | None = None,
+        may_wait: bool = True,
     ) -> None:
         self._node = node
         self._service, self._action = service, action
         self._requests = requests
         self._make = make
         self._fill = fill
+        self._feedback, self._may_wait = feedback or self._plain, may_wait
         self._goals: dict[bytes, Request] = {}
-        self._feedback = f"{node.resolve_service_name(name)}/_action/feedback"  # every action client subscribes to it
+        self._listened = f"{node.resolve_service_name(name)}/_action/feedback"  # every action client subscribes to it
         self._last_seen: float | None = None  # when a client was last seen, s
-        deferred_service(services, service, name, self._on_request)
+        if service is not None:
+            deferred_service(services, service, name, self._on_request)
         self._server = _HoldingServer(
             node,
             action,
@@ -84,7 +91,7 @@ class RequestServer:
         """Look after the requests, and cancel goals whose clients are gone; call it ten times a second."""
         self._requests.look()
         now = time.monotonic()
-        if not self._goals or self._node.count_subscribers(self._feedback):
+        if not self._goals or self._node.count_subscribers(self._listened):
             self._last_seen = now if self._goals else None
         elif self._last_seen is not None and now - self._last_seen > _GONE:
             for request in list(self._goals.values()):
@@ -92,6 +99,7 @@ class RequestServer:
 
     def _on_request(self, request: Any, answer: LaterResponse) -> None:
         def finish(reply: Reply) -> None:
+            assert self._service is not None
             answer(self._fill(self._service.Response(), reply))
 
         self._requests.submit(Request(partial(self._make, request), finish), may_wait=False)
@@ -106,7 +114,7 @@ class RequestServer:
 
         request = Request(make, partial(self._finish, goal), partial(self._tell, goal))
         self._goals[_key(goal)] = request
-        self._requests.submit(request, may_wait=True)
+        self._requests.submit(request, may_wait=self._may_wait)
 
     def _on_cancel(self, goal: Any) -> CancelResponse:
         in_executor(self._node, lambda: self._cancel(goal))  # the goal is being cancelled only after this
@@ -118,7 +126,10 @@ class RequestServer:
             self._requests.cancel(request, CANCELLED)
 
     def _tell(self, goal: Any, stage: Stage) -> None:
-        goal.publish_feedback(self._action.Feedback(stage=stage.name, progress=stage.share, message=stage.sentence))
+        goal.publish_feedback(self._feedback(stage))
+
+    def _plain(self, stage: Stage) -> Any:
+        return self._action.Feedback(stage=stage.name, progress=stage.share, message=stage.sentence)
 
     def _finish(self, goal: Any, reply: Reply) -> None:
         del self._goals[_key(goal)]

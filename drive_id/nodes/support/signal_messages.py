@@ -19,10 +19,15 @@ _FIELDS = {"phase_currents": ("a", "b", "c"), "phase_voltages": ("a", "b", "c"),
 Headed = TypeVar("Headed")
 
 
+def time_of(stamp: int) -> Any:
+    """Return the message of a time, ns."""
+    return Time(nanoseconds=stamp).to_msg()
+
+
 def headed(message: Headed, stamp: int, frame_id: str) -> Headed:
     """Return a message whose header has been set; the stamp in ns."""
     header: Any = message.header  # type: ignore[attr-defined]  # any message with a header
-    header.stamp, header.frame_id = Time(nanoseconds=stamp).to_msg(), frame_id
+    header.stamp, header.frame_id = time_of(stamp), frame_id
     return message
 
 

@@ -689,6 +689,7 @@ def test_every_answer_has_its_code(bench):
     assert start() == "limit"
     bench.status = {}
     bench.ticks(3)
+    assert start(run={"trajectory": "zigzag"}) == "configuration"
     assert start() == "ok"
     bench.ticks(10)
     assert start() == "busy"
@@ -771,6 +772,34 @@ def test_other_parameters_stop_first_and_hold_afterwards(running):
     running.blocks.clear()
     running.ticks(100)
     assert max(np.hypot(*block.i_dq.T).max() for block in running.blocks) <= 5.0
+
+
+def test_a_run_has_settings_of_its_own(bench):
+    run = {"trajectory": "spiral", "i_max": 4.0, "duration": 1.0}
+    assert bench.start(run=run) == (True, "Started: spiral within 4 A for 1 s.")
+    bench.ticks(30)
+    report = bench.watched.report(bench.now, bench.steady)
+    assert (report.duration, report.completed, bench.health().values["trajectory"]) == (1.0, False, "spiral")
+    bench.ticks(120)
+    assert bench.state() == "idle"
+    assert 3.9 < max(np.hypot(*block.i_dq.T).max() for block in bench.blocks) <= 4.0
+    report = bench.watched.report(bench.now, bench.steady)
+    assert report.completed
+    assert report.coverage > 0.1, "that of the run, until the next start"
+    assert bench.start() == (True, "Started: lissajous within 10 A for 2 s.")
+
+
+def test_a_run_cannot_exceed_the_limits_of_the_node(bench):
+    refused = (False, "Not started: i_max is 10.1 A, more than the parameter of trajectory_publisher, 10 A.")
+    assert bench.start(run={"i_max": 10.1}) == refused
+    bench.status = {"current_limit": 5.0}
+    bench.ticks(3)
+    assert "above the current_limit of the drive" in bench.start()[1]
+    assert bench.start(run={"i_max": 3.0})[0], "smaller than what the drive can do, though the node's own is not"
+    bench.watched.stop(bench.now)
+    bench.ticks(30)
+    assert not bench.watched.report(bench.now, bench.steady).completed
+    assert "above the current_limit of the drive" in bench.start()[1], "the run's radius went with the run"
 
 
 def test_lost_samples_are_counted(running):

@@ -113,7 +113,8 @@ def test_the_identification_is_as_agreed(written, fitted, bag):
         "format", "format_version", "method", "machine", "i_max", "resistance", "sigma_resistance", "voltage_error",
         "sigma_voltage_error", "inverter_curve", "harmonics", "calibrations", "metrics", "warnings", "statements",
         "messages", "settings", "inputs", "versions", "pole_pairs", "u_dc", "speed_range", "duration", "date",
-        "magnet_coefficient", "torque", "mechanics", "linear_machine", "files", "resistance_temperature",
+        "magnet_coefficient", "torque", "mechanics", "linear_machine", "files", "resistance_temperature", "last_stamp",
+        "session",
     }  # fmt: skip
     assert (tree["pole_pairs"], tree["u_dc"], tree["duration"]) == (4, 400.0, pytest.approx(2.0))
     assert tree["speed_range"] == pytest.approx([500 * np.pi / 30 * 4] * 2, rel=1e-5)
@@ -203,7 +204,9 @@ def test_what_is_unknown_is_read_as_unknown(fitted, tmp_path):
     assert provenance.nrmse is None
 
 
-NEWER = ("pole_pairs", "u_dc", "speed_range", "duration", "date", "magnet_coefficient", "files")
+NEWER = (
+    "last_stamp", "session", "pole_pairs", "u_dc", "speed_range", "duration", "date", "magnet_coefficient", "files",
+)  # fmt: skip
 
 
 def test_an_older_result_is_read(written, fitted):
@@ -217,7 +220,7 @@ def test_an_older_result_is_read(written, fitted):
     np.savez(written / "flux_map.npz", **arrays)
     drive, provenance = read_results(written)
     assert drive.resistance == fitted.resistance
-    assert [getattr(provenance, name) for name in NEWER[:-2]] == [None, None, None, None, ""]
+    assert [getattr(provenance, name) for name in NEWER[:-2]] == [0, 0, None, None, None, None, ""]
 
 
 def edited(written, **entries):

@@ -248,6 +248,18 @@ def test_an_i_max_far_from_the_live_currents_is_named(samples):
     assert any("i_max is 600 A but the currents reach only 300" in text for text in warnings)
 
 
+def test_a_new_i_max_that_the_sums_resolve_keeps_the_samples(samples):
+    live = LiveEvidence(replace(SETTINGS, i_max=320.0))
+    feed(live, samples)
+    assert not live.configure(replace(SETTINGS, i_max=300.0))
+    assert live.evidence.coverage() == pytest.approx(live.snapshot().conclude().drive.report.coverage, abs=0.05)
+    for i_max in (250.0, 0.0):
+        assert live.snapshot(i_max=i_max).conclude().drive.i_max == (i_max or 300.0)
+    with pytest.raises(ConfigurationError, match=r"i_max is 330 A, and the live samples are summed for 320 A"):
+        live.snapshot(i_max=330.0)
+    assert live.configure(replace(SETTINGS, i_max=150.0)), "cells too wide for so small a disc"
+
+
 def test_settings_that_shape_the_sums_forget_the_samples(samples):
     live = LiveEvidence(FitSettings(method="joint"))
     feed(live, samples, 0, 3000)

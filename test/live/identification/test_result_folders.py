@@ -8,6 +8,7 @@ import shutil
 
 import pytest
 
+from drive_id.errors import ConfigurationError, ResultError
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.result_folders import ResultFolders, new_folder
 
@@ -122,3 +123,24 @@ def test_new_folders_have_names_that_the_quota_knows(tmp_path, template):
         shutil.copytree(template, path)
         ResultFolders(settings, NODE).note(path, 1)
     assert names(tmp_path) == [path.name]
+
+
+def test_results_are_found_by_folder_and_name_the_newest_first(tmp_path, template):
+    for day, serial in ((3, "a"), (5, "b"), (7, "a")):
+        marker = add(tmp_path, template, day, "locked" if day == 7 else "joint") / "identification.json"
+        tree = json.loads(marker.read_text())
+        tree["settings"]["serial"] = serial
+        marker.write_text(json.dumps(tree))
+    found = folders(tmp_path)
+    listed, total = found.find("", "", 2)
+    assert ([each.folder.name[8:10] for each in listed], total) == (["07", "05"], 3)
+    assert [each.folder.name[8:10] for each in found.find("", "a", 9)[0]] == ["07", "03"]
+    assert found.get("", "", "b").folder.name[8:10] == "05"
+    assert found.get(listed[1].folder.name, "", "").folder == found.get(str(listed[1].folder), "", "").folder
+    with pytest.raises(ResultError, match="There is no result of machine 'x', serial ''"):
+        found.get("", "x", "")
+    for folder in ("..", "/etc", str(template), "missing"):
+        with pytest.raises(ConfigurationError, match="is not a result in"):
+            found.get(folder, "", "")
+    (listed[0].folder / "identification.json").write_text("{")
+    assert [each.folder.name[8:10] for each in found.find("", "a", 9)[0]] == ["03"], "what is damaged is left out"

@@ -159,7 +159,10 @@ def test_settings_reach_both_parts(identifier, drives):
     assert not identifier.configure(replace(identifier.live.settings, method="psm"))
     with pytest.raises(DriveChangedError):
         identifier.job((), "")
-    assert identifier.configure(replace(identifier.live.settings, i_max=200.0))
+    assert not identifier.configure(replace(identifier.live.settings, i_max=200.0))
+    with pytest.raises(DriveChangedError):
+        identifier.job((), "")
+    assert identifier.configure(replace(identifier.live.settings, i_max=100.0))
     identifier.job((), "")  # all are forgotten
 
 

@@ -1,4 +1,4 @@
-"""The client against nodes that answer as they are told: real services in this process, no drive."""
+"""The conductor against nodes that answer as they are told: real services in this process, no drive."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import contextlib
 import itertools
 import threading
 import time
-from types import SimpleNamespace
 
 import pytest
 from ros_bench import own_domain, require_ros
@@ -21,7 +20,10 @@ class Nodes:
 
     def __init__(self, domain):
         from diagnostic_msgs.msg import DiagnosticArray
-        from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
+        from drive_id_msgs.action import Identify
+        from drive_id_msgs.msg import PublisherState
+        from drive_id_msgs.srv import Command, StartExperiment, StartRecording, StopRecording
+        from rclpy.action import ActionServer
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.node import Node
@@ -29,6 +31,7 @@ class Nodes:
         from std_msgs.msg import Empty
 
         from drive_id.nodes.support.middleware import fast_dds
+        from drive_id.nodes.support.qos import LATCHED
 
         self.begin()
         self.context = Context()
@@ -38,6 +41,7 @@ class Nodes:
         self.nodes = made
         for name, value in (("trajectory_publisher", 100.0), ("identification", 100.0)):
             made[name].declare_parameter("i_max", value)
+        made["trajectory_publisher"].declare_parameter("repeat", 1)
         publisher, recorder, identification = made.values()
         self.parameter = Parameter
         for kind, name in (
@@ -46,11 +50,12 @@ class Nodes:
             publisher.create_service(kind, f"~/{name}", self.answer(f"trajectory_publisher/{name}"))
         recorder.create_service(StartRecording, "~/start", self.answer("recorder/start", uri="/data/bag"))
         recorder.create_service(
-            StopRecording, "~/stop", self.answer("recorder/stop", uri="/data/bag", samples=7, dropped=2, duration=0.5)
+            StopRecording, "~/stop", self.answer("recorder/stop", uri="/data/bag", samples=7, dropped=2, duration=1.5)
         )
         identification.create_service(Command, "~/reset", self.answer("identification/reset"))
-        identification.create_service(Identify, "~/identify", self.answer("identification/identify", output="/out"))
+        self.server = ActionServer(identification, Identify, "~/identify", self.identify)
         publisher.create_subscription(Empty, "~/heartbeat", lambda _: self.beats.append(time.monotonic()), 10)
+        self.states = publisher.create_publisher(PublisherState, "~/state", LATCHED)
         self.diagnostics = publisher.create_publisher(DiagnosticArray, "/diagnostics", 10)
         publisher.create_timer(0.05, self.report)
         self.executor = SingleThreadedExecutor(context=self.context)
@@ -63,27 +68,55 @@ class Nodes:
         """Forget what a test has told and called."""
         self.calls, self.refused, self.slow, self.beats = [], set(), {}, []
         self.script, self.state = ["running", "running", "idle"], "idle"
-        self.waiting, self.playing = False, iter(())
+        self.short = self.waiting = False
+        self.playing, self.session, self.reason, self.goal = iter(()), 0, "", None
 
     def answer(self, name, **fields):
         def callback(_, response):
             self.calls.append(name)
             time.sleep(self.slow.get(name, 0.0))
             response.success, response.message = name not in self.refused, f"{name} says so."
+            response.code = "ok" if response.success else "limit"
             for field, value in fields.items():
                 setattr(response, field, value)
+            if self.short and name == "recorder/stop":
+                response.duration = 0.5
             if name == "trajectory_publisher/start_experiment" and response.success:
-                self.playing = iter(self.script)
+                self.playing, self.session = iter(self.script), self.session + 1
+                response.session = self.session
             return response
 
         return callback
 
+    def identify(self, goal):
+        from drive_id_msgs.action import Identify
+
+        self.calls.append("identification/identify")
+        self.goal = goal.request
+        if "identification/identify" in self.refused:
+            goal.abort()
+            return Identify.Result(code="coverage", message="Too little.")
+        goal.succeed()
+        return Identify.Result(success=True, code="ok", message="Identified.", output="/out")
+
     def report(self):
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+        from drive_id_msgs.msg import PublisherState
 
         self.state = next(self.playing, self.state)
+        completed = self.state == "idle" and not self.reason
+        self.states.publish(
+            PublisherState(
+                state=self.state,
+                session=self.session,
+                duration=1.5,
+                elapsed=0.3,
+                completed=completed,
+                reason=self.reason or f"{self.state}.",
+            )
+        )
         level = DiagnosticStatus.WARN if self.waiting else DiagnosticStatus.OK
-        values = [KeyValue(key="state", value=self.state), KeyValue(key="duration [s]", value="1.5")]
+        values = [KeyValue(key="coverage", value="0.25"), KeyValue(key="fit: resistance [ohm]", value="0.1")]
         self.diagnostics.publish(
             DiagnosticArray(
                 status=[
@@ -94,6 +127,7 @@ class Nodes:
         )
 
     def close(self):
+        self.server.destroy()
         self.executor.shutdown()
         self.thread.join()
         for node in self.nodes.values():
@@ -126,42 +160,50 @@ def nodes(all_nodes):
 
 
 @contextlib.contextmanager
-def client(**options):
-    from drive_id.ros import Bench
+def conductor(**options):
+    from drive_id.ros.conductor import Conductor
 
-    with Bench("/drive", timeout=20.0, **options) as bench:
-        yield bench
-
-
-def run_all(timeout=30.0, **options):
-    with client(**options) as bench:
-        bench.wait_until_ready(timeout)
-        bench.run_experiment()
+    with Conductor("/drive", **{"timeout": 20.0, **options}) as made:
+        yield made
 
 
-def test_an_experiment_calls_the_services_in_order(nodes):
-    told = []
-    with client(tell=told.append) as bench:
-        bench.wait_until_ready(30.0)
-        recording = bench.run_experiment("bag")
-        result = bench.identify([recording.uri], "joint")
-        assert bench.stop() == []  # nothing of it is under way any more
+def run_all(identify=None, **options):
+    from drive_id.ros.conductor import Goal
+
+    with conductor(**options) as made:
+        return made.run(Goal("bag", identify=identify)), made.recorded
+
+
+def refused(code, text, **options):
+    """Run an experiment that fails with a code and a sentence."""
+    with pytest.raises(ExperimentError, match=text) as error:
+        run_all(**options)
+    assert error.value.code == code
+
+
+def test_an_experiment_calls_the_nodes_in_order(nodes):
+    result, recording = run_all({"method": "joint", "i_max": 40.0})
     assert nodes.calls == [
         "recorder/start", "identification/reset", "trajectory_publisher/start_experiment", "recorder/stop",
         "identification/identify",
     ]  # fmt: skip
-    assert (recording.uri, recording.samples, recording.dropped, recording.duration) == ("/data/bag", 7, 2, 0.5)
-    assert (result.output, result.message) == ("/out", "identification/identify says so.")
+    assert (recording.uris, recording.samples, recording.dropped, recording.duration) == (("/data/bag",), 7, 2, 1.5)
+    assert (result.output, result.message) == ("/out", "Identified.")
+    assert (list(nodes.goal.bags), nodes.goal.method, nodes.goal.i_max) == (["/data/bag"], "joint", 40.0)
+    assert nodes.goal.session == recording.session == nodes.session
+
+
+def test_a_fit_that_fails_has_its_own_code(nodes):
+    nodes.refused = {"identification/identify"}
+    refused("coverage", r"identification/identify: Too little\.", identify={})
 
 
 def test_heartbeats_come_as_long_as_an_experiment_runs(nodes):
     """The publisher ramps down without them: nothing runs on when this process is gone."""
     nodes.script = ["running"] * 40 + ["idle"]
-    with client() as bench:
-        bench.wait_until_ready(30.0)
-        bench.run_experiment()
-        assert len(nodes.beats) >= 5
-        assert max(b - a for a, b in itertools.pairwise(nodes.beats)) < 1.5
+    run_all()
+    assert len(nodes.beats) >= 5
+    assert max(b - a for a, b in itertools.pairwise(nodes.beats)) < 1.5
     time.sleep(0.5)
     nodes.beats.clear()
     time.sleep(0.5)
@@ -170,42 +212,41 @@ def test_heartbeats_come_as_long_as_an_experiment_runs(nodes):
 
 def test_a_trajectory_that_trips_leaves_the_drive_at_rest(nodes):
     nodes.script = ["running", "tripped"]
-    with pytest.raises(ExperimentError, match=r"The trajectory was stopped: trajectory_publisher reports\."):
-        run_all()
+    refused("tripped", r"The trajectory was stopped: tripped\.")
     assert nodes.calls[-2:] == ["trajectory_publisher/stop_experiment", "recorder/stop"]
 
 
+def test_a_trajectory_that_somebody_stops_is_not_complete(nodes):
+    nodes.script, nodes.reason = ["running", "ramp_out", "idle"], "Stopped on request."
+    refused("stopped", r"The trajectory did not reach its end: Stopped on request\.")
+    assert nodes.calls[-1] == "recorder/stop"
+
+
+def test_a_recording_that_ends_early_is_not_complete(nodes):
+    nodes.short = True
+    refused("incomplete", r"/data/bag holds 0\.500 s of a trajectory of 1\.500 s")
+
+
 def test_a_fault_is_cleared_or_it_is_told_why_not(nodes):
-    with client() as bench:
-        bench.wait_until_ready(30.0)
-        assert bench.clear_fault() == "trajectory_publisher/clear_fault says so."
+    with conductor() as made:
+        made.wait_until_ready(30.0)
+        assert made.clear_fault() == "trajectory_publisher/clear_fault says so."
         nodes.refused = {"trajectory_publisher/clear_fault"}
         with pytest.raises(ExperimentError, match=r"clear_fault: trajectory_publisher/clear_fault says so\."):
-            bench.clear_fault()
+            made.clear_fault()
     assert nodes.calls == ["trajectory_publisher/clear_fault"] * 2
 
 
 def test_a_refusal_is_passed_on_and_the_recording_is_closed(nodes):
     nodes.refused = {"trajectory_publisher/start_experiment"}
-    with pytest.raises(ExperimentError, match=r"^trajectory_publisher/start_experiment: .* says so\."):
-        run_all()
+    refused("limit", r"^trajectory_publisher/start_experiment: .* says so\.")
     assert nodes.calls[-1] == "recorder/stop"
 
 
 def test_a_recorder_that_is_busy_for_another_client_is_left_alone(nodes):
     nodes.refused = {"recorder/start"}
-    with pytest.raises(ExperimentError, match=r"recorder/start: recorder/start says so\."):
-        run_all()
+    refused("limit", r"recorder/start: recorder/start says so\.")
     assert nodes.calls == ["recorder/start"]
-
-
-def test_an_error_that_the_block_catches_leaves_the_drive_at_rest_too(nodes):
-    nodes.script = ["running", "tripped"]
-    with client() as bench:
-        bench.wait_until_ready(30.0)
-        with contextlib.suppress(ExperimentError):
-            bench.run_experiment()
-    assert nodes.calls[-2:] == ["trajectory_publisher/stop_experiment", "recorder/stop"]
 
 
 def test_a_terminal_that_is_gone_does_not_keep_the_drive_from_rest(nodes):
@@ -214,6 +255,7 @@ def test_a_terminal_that_is_gone_does_not_keep_the_drive_from_rest(nodes):
 
     def tell(_):
         if "trajectory_publisher/start_experiment" in nodes.calls:
+            nodes.playing = iter(["idle"])
             raise BrokenPipeError("the terminal is gone")
 
     with pytest.raises(BrokenPipeError):
@@ -223,12 +265,17 @@ def test_a_terminal_that_is_gone_does_not_keep_the_drive_from_rest(nodes):
 
 def test_nodes_that_do_not_fit_are_refused_before_current_flows(nodes):
     nodes.nodes["identification"].set_parameters([nodes.parameter("i_max", value=60.0)])
-    with (
-        pytest.raises(ExperimentError, match="drives up to 100 A and identification maps up to 60 A"),
-        client() as bench,
-    ):
-        bench.wait_until_ready(30.0)
+    refused("experiment", "drives up to 100 A and identification maps up to 60 A")
     nodes.nodes["identification"].set_parameters([nodes.parameter("i_max", value=100.0)])
+    nodes.nodes["trajectory_publisher"].set_parameters([nodes.parameter("repeat", value=0)])
+    refused("configuration", "repeat of trajectory_publisher is 0")
+    nodes.nodes["trajectory_publisher"].set_parameters([nodes.parameter("repeat", value=1)])
+    assert nodes.calls == []
+
+
+def test_a_latched_trip_is_told_before_anything_is_recorded(nodes):
+    nodes.state = "tripped"
+    refused("tripped", "trajectory_publisher has tripped")
     assert nodes.calls == []
 
 
@@ -245,22 +292,20 @@ def test_two_drives_in_one_namespace_are_refused(nodes):
 
     two = list(nodes.nodes.values())[:2]
     publishers = [node.create_publisher(Resolver, "resolver", 1) for node in two]
-    with pytest.raises(ExperimentError, match="2 nodes publish /drive/resolver: leave one drive"):
-        run_all()
+    refused("experiment", "2 nodes publish /drive/resolver: leave one drive")
     for node, publisher in zip(two, publishers, strict=True):
         node.destroy_publisher(publisher)
 
 
 def test_a_silent_drive_is_told(nodes):
     nodes.waiting = True
-    with pytest.raises(ExperimentError, match=r"After 8 s, still waiting for the drive: trajectory_publisher reports"):
-        run_all(8.0)
+    refused("fault", r"After 4 s, still waiting for the drive: trajectory_publisher reports", timeout=4.0)
 
 
 def test_progress_counts_the_trajectory(nodes):
     nodes.script = ["running"] * 40 + ["idle"]
     told = []
-    with client(tell=told.append) as bench:
-        bench.wait_until_ready(30.0)
-        bench.run_experiment()
-    assert any(SimpleNamespace(**vars(one)).duration == 1.5 for one in told)
+    run_all(tell=told.append)
+    during = [one for one in told if one.phase == "trajectory"]
+    assert {(one.duration, one.elapsed, one.coverage, one.resistance) for one in during} >= {(1.5, 0.3, 0.25, 0.1)}
+    assert during[-1].share == pytest.approx(0.2)

@@ -312,11 +312,8 @@ class Evidence:
         """Tell where on the grid of the visits data support a map of this resolution."""
         if not ORIGINS[self.settings.method].windows:
             return self.visits.inside(self.d.width, self.q.width)
-        return self._visited()
+        return self.visits.inside(*((axis.high - axis.low) / FLUX_CELLS for axis in (self.d, self.q)))
 
     def coverage(self) -> float:
-        """Return the share of the current disc with data, 0 to 1: of all methods by the same cells."""
-        return disc_coverage(self.visits.i_d, self.visits.i_q, self._visited(), self.i_max)
-
-    def _visited(self) -> BoolArray:
-        return self.visits.inside(*((axis.high - axis.low) / FLUX_CELLS for axis in (self.d, self.q)))
+        """Return the share of the current disc with data, 0 to 1."""
+        return disc_coverage(self.visits.i_d, self.visits.i_q, self.inside(), self.i_max)

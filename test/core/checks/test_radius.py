@@ -48,7 +48,7 @@ def test_off_by_some(samples):
 
     assert "i_max is 200 A but the recording reaches 300 A: " in warnings(200.0)
     assert "set i_max to 300 A." in warnings(200.0)
-    assert "i_max is 600 A but the currents reach only 300 A: the map covers 1" in warnings(600.0)
+    assert "i_max is 600 A but the currents reach only 300 A: the map covers 2" in warnings(600.0)
     for i_max in (290.0, 300.0, 400.0):
         assert "i_max" not in warnings(i_max)
 

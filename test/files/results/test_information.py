@@ -127,7 +127,7 @@ def test_what_is_told_of_it(accumulated):
     tree = json.loads(json.dumps(information_tree(accumulated), allow_nan=False))
     assert (tree["samples"], tree["i_max"], tree["machine"]) == (20000, 300.0, "ipm")
     assert tree["duration"] == pytest.approx(2.0)
-    assert tree["coverage"] > 0.85
+    assert tree["coverage"] > 0.9
 
 
 # -- what is no information file ---------------------------------------------------------------------------------------

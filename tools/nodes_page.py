@@ -249,7 +249,7 @@ def reference() -> str:
 
 def page() -> str:
     """Return the page with its generated part made anew."""
-    before, begin, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
+    before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     _, end, after = rest.partition(END)
     assert end, f"{PAGE} has no place for the reference"
     here = Path.cwd()

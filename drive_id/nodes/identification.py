@@ -34,7 +34,7 @@ from drive_id.nodes.support.live_topics import LiveTopics
 from drive_id.nodes.support.lookups import MOST_LISTED, Lookups
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
-from drive_id.nodes.support.qos import LATCHED, OVERRIDABLE, STREAM
+from drive_id.nodes.support.qos import LATCHED, STREAM, overridable
 from drive_id.nodes.support.replies import (
     NAMES,
     fill,
@@ -72,11 +72,10 @@ class IdentificationNode(ManagedNode):
         self._inbox = Inbox(partial(in_executor, self))
         self._requests = Requests(settings.time_limit, partial(in_executor, self))
         self._refitter: Worker[Refit | None] = Worker()
-        overridable = {"qos_overriding_options": OVERRIDABLE}
-        self._flux_map = self.create_publisher(FluxMap, "flux_map", LATCHED, **overridable)
-        self._fit_report = self.create_publisher(FitReport, "fit_report", LATCHED, **overridable)
-        self._points = self.create_publisher(PointCloud2, "flux_map_points", LATCHED, **overridable)
-        self._operating_point = self.create_publisher(OperatingPoint, "operating_point", STREAM, **overridable)
+        self._flux_map = self.create_publisher(FluxMap, "flux_map", **overridable(LATCHED))
+        self._fit_report = self.create_publisher(FitReport, "fit_report", **overridable(LATCHED))
+        self._points = self.create_publisher(PointCloud2, "flux_map_points", **overridable(LATCHED))
+        self._operating_point = self.create_publisher(OperatingPoint, "operating_point", **overridable(STREAM))
         # A method that live samples cannot serve is refused.
         on_change(self, FitSettings, lambda settings: check_live(settings.method), self._on_settings)
         self._topics = LiveTopics(self, self._identifier, self._inbox, settings.signals)

@@ -28,7 +28,7 @@ from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.lookups import MOST_LISTED, Lookups
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
-from drive_id.nodes.support.qos import LATCHED, OVERRIDABLE
+from drive_id.nodes.support.qos import LATCHED, overridable
 from drive_id.nodes.support.recorded_topics import RecordedTopics
 from drive_id.nodes.support.recording_messages import recorder_state_message, recording_info
 from drive_id.nodes.support.runtime import run
@@ -75,9 +75,7 @@ class Recorder(ManagedNode):
         self._last: RecordingReport | None = None
         self._told_state: tuple[object, ...] = ()
         self._state_due = 0.0
-        self._state_publisher = self.create_publisher(
-            RecorderState, "~/state", LATCHED, qos_overriding_options=OVERRIDABLE
-        )
+        self._state_publisher = self.create_publisher(RecorderState, "~/state", **overridable(LATCHED))
         self.create_timer(_MATCH_PERIOD, self._check_topics, clock=STEADY)
         if self._note.left:
             self.get_logger().error(self._note.left)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from typing import Any
+
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSCompatibility, QoSProfile, ReliabilityPolicy, qos_check_compatible
 from rclpy.qos_overriding_options import QoSOverridingOptions
@@ -17,12 +20,20 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SERVICE = QoSProfile(depth=10_000)
 """Of services: the default keeps the last 10 requests, and whoever sent one before waits in vain."""
 
-OVERRIDABLE = QoSOverridingOptions.with_default_policies()
-"""For topics that displays and bridges subscribe to: history, depth and reliability are parameters, read at the start
-(``qos_overrides./flux_map.publisher.reliability``). References, feedback and what stops a drive have none."""
-
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
 """Name that the middleware gives to the node of an endpoint before it knows better."""
+
+
+def overridable(profile: QoSProfile) -> dict[str, Any]:
+    """Return arguments for a publisher whose history, depth and reliability are parameters, read at the start.
+
+    (``qos_overrides./flux_map.publisher.reliability``.) For topics that displays and bridges subscribe to; references,
+    feedback and what stops a drive have none. rclpy changes the profile that it is given, so it gets one of its own.
+    """
+    return {
+        "qos_profile": copy.copy(profile),
+        "qos_overriding_options": QoSOverridingOptions.with_default_policies(),
+    }
 
 
 def incompatible_subscriptions(node: Node, topic: str) -> list[str]:

@@ -72,6 +72,7 @@ MAKE = {
     "safety": "--rounds 1 --only trips",
     "safety ARGS='--rounds 5'": "--rounds 1 --only restarts",
     "safety ARGS='--rounds 0 --scripts 200'": "--scripts 2",
+    "safety ARGS='--rounds 0 --goals 60'": "--goals 1",
     "safety ARGS='--rounds 0 --scripts 200 --seed 12'": "--scripts 2 --allowance 1.5",
     "population": "--help",
     "population ARGS='--seed 2'": "--count 1 --methods joint --jobs 1 --output old.json",  # more: test_population.py
@@ -117,6 +118,7 @@ ALONE = {
     "safety": _STATED,
     "safety ARGS='--rounds 5'": _STATED,
     "safety ARGS='--rounds 0 --scripts 200'": _STATED,
+    "safety ARGS='--rounds 0 --goals 60'": _STATED,
     "endure ARGS='--only kills --rounds 30'": _IN_FLIGHT,
     "endure ARGS='--only kills --rounds 30 --seed 7'": _IN_FLIGHT,
 }
@@ -177,7 +179,7 @@ def test_what_is_launched_and_run_is_there():
         source = (ROOT / f"{executables[executable].replace('.', '/')}.py").read_text(encoding="utf-8")
         config = ROOT / "config" / f"{executable}.yaml"
         named = source + (config.read_text(encoding="utf-8") if config.exists() else "")
-        for option, value in zip(arguments, [*arguments[1:], ""], strict=True):
+        for option, value in zip(arguments, [*arguments, ""][1:], strict=True):
             if option == "-p":
                 assert re.search(rf"\b{value.partition(':=')[0]}\b", named), (executable, value)
             if option == "--params-file":

@@ -133,7 +133,7 @@ def test_a_goal_records_and_identifies_and_tells_how_far_it_is(suite, goal):
     assert result.report.coverage > 0.5
     phases = list(dict.fromkeys(entry.phase for entry in ran.feedback))
     assert phases == [each for each in ("waiting", "trajectory", "stopping", "identifying") if each in phases]
-    assert {"waiting", "trajectory"} <= set(phases)
+    assert "trajectory" in phases, "feedback twice a second may miss what is shorter"
     shares = [entry.share for entry in ran.feedback]
     assert shares == sorted(shares)
     assert any(1.0 < entry.elapsed < entry.duration == 2.0 for entry in ran.feedback)

@@ -33,6 +33,7 @@ class Nodes:
         from drive_id.nodes.support.middleware import fast_dds
         from drive_id.nodes.support.qos import LATCHED
 
+        self.lock = threading.Lock()
         self.begin()
         self.context = Context()
         with fast_dds():
@@ -66,10 +67,11 @@ class Nodes:
 
     def begin(self):
         """Forget what a test has told and called."""
-        self.calls, self.refused, self.slow, self.beats = [], set(), {}, []
-        self.script, self.state = ["running", "running", "idle"], "idle"
-        self.short = self.waiting = False
-        self.playing, self.session, self.reason, self.goal = iter(()), 0, "", None
+        with self.lock:  # a report under way would bring the last state of the test before back
+            self.calls, self.refused, self.slow, self.beats = [], set(), {}, []
+            self.script, self.state = ["running", "running", "idle"], "idle"
+            self.short = self.waiting = False
+            self.playing, self.session, self.reason, self.goal = iter(()), 0, "", None
 
     def answer(self, name, **fields):
         def callback(_, response):
@@ -103,7 +105,8 @@ class Nodes:
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
         from drive_id_msgs.msg import PublisherState
 
-        self.state = next(self.playing, self.state)
+        with self.lock:
+            self.state = next(self.playing, self.state)
         completed = self.state == "idle" and not self.reason
         self.states.publish(
             PublisherState(
@@ -156,6 +159,7 @@ def all_nodes(domain):
 @pytest.fixture
 def nodes(all_nodes):
     all_nodes.begin()
+    all_nodes.report()  # a client that comes now gets the last state, which is that of the test before
     return all_nodes
 
 

@@ -24,7 +24,13 @@ from drive_id.core.experiment.watchdog import CURRENTS, SIGNALS
 from drive_id.health import Health, Level
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.diagnostics import publish_health
-from drive_id.nodes.support.experiment_messages import drive_status, reference_message, sample_block, state_message
+from drive_id.nodes.support.experiment_messages import (
+    drive_status,
+    reference_message,
+    run_of,
+    sample_block,
+    state_message,
+)
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
 from drive_id.nodes.support.qos import LATCHED, STREAM, STREAM_BEST_EFFORT, full_name, incompatible_subscriptions
@@ -38,8 +44,6 @@ _STATE_PERIOD = 0.1
 """Time between messages of the state of a running experiment, s."""
 _READ_ONLY = ("publish_rate", "frame_id", "watch", "require_status", "current_ceiling", "emergency_stops")
 """Parameters that are fixed at the start of the process: nobody loosens them while current flows."""
-_OF_RUN = ("trajectory", "i_max", "duration", "repeat")
-"""Settings that a request may have for its run."""
 _NO_EVENTS = {"use_default_callbacks": False}
 """An event of a destroyed publisher or subscription kills the events executor of rclpy up to 9.1."""
 
@@ -241,8 +245,7 @@ class TrajectoryPublisher(ManagedNode):
         return self._replied("start", response, self._start())
 
     def _on_start_experiment(self, request: Any, response: Any) -> Any:
-        run = {name: value for name in _OF_RUN if (value := getattr(request, name))}
-        answer = self._start(dry_run=request.dry_run, require_lease=request.require_lease, run=run)
+        answer = self._start(dry_run=request.dry_run, require_lease=request.require_lease, run=run_of(request))
         response.session = self._experiment.session if answer.success else 0
         return self._replied("start", response, answer)
 

@@ -10,12 +10,9 @@ from typing import Any
 
 from drive_id_msgs.action import Experiment
 from drive_id_msgs.srv import Identify
-from rclpy.action import ActionClient
-from std_msgs.msg import Empty
 
 from drive_id.errors import ExperimentError
 from drive_id.fitting.result import Identification, load
-from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.replies import NAMES
 from drive_id.ros.calls import IDENTIFICATION, NODES, Calls, Progress
 from drive_id.ros.conductor import STOP_TIME, Recording
@@ -24,8 +21,8 @@ EXPERIMENT = "experiment"
 SERVICES = {f"{IDENTIFICATION}/identify": Identify}
 _TOLD = 1.0
 """Time between reports of progress, s: nobody reads faster."""
-_HEARTBEAT, _LEASE = 0.2, 2.0
-"""Time between signs of life, and after which the node cancels a goal without them, s."""
+_LEASE = 2.0
+"""Time after which the node cancels a goal without signs of life, s."""
 
 
 @dataclass(frozen=True)
@@ -101,17 +98,8 @@ class Bench(Calls):
         )  # fmt: skip
         self._last = Progress("")
         self._under_way: Any = None  # future of the goal's handle
-        self._experiments = ActionClient(self._node, Experiment, f"{EXPERIMENT}/{EXPERIMENT}")
-        heartbeats = self._node.create_publisher(Empty, f"{EXPERIMENT}/heartbeat", 1)
-        self._node.create_timer(_HEARTBEAT, lambda: heartbeats.publish(Empty()), clock=STEADY)
-
-    def close(self) -> None:
-        """Leave the ROS graph, after :meth:`stop`."""
-        try:
-            self.stop()
-        finally:
-            self._experiments.destroy()
-            super().close()
+        self._experiments = self._action(Experiment, f"{EXPERIMENT}/{EXPERIMENT}")
+        self._heartbeats_to(EXPERIMENT)
 
     def missing(self) -> list[str]:
         """Return the nodes that have not been heard of, or lack what is needed."""

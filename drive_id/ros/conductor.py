@@ -13,11 +13,9 @@ from drive_id_msgs.action import Identify
 from drive_id_msgs.msg import PublisherState, Resolver
 from drive_id_msgs.srv import Command, StartExperiment, StartRecording, StopRecording
 from rcl_interfaces.srv import GetParameters
-from rclpy.action import ActionClient
 from std_msgs.msg import Empty
 
 from drive_id.errors import ExperimentError
-from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.qos import LATCHED, STREAM_BEST_EFFORT
 from drive_id.nodes.support.signal_messages import KINDS
 from drive_id.ros.calls import IDENTIFICATION, NODES, PUBLISHER, RECORDER, Calls, Progress
@@ -37,8 +35,6 @@ _STOPPING = 4.0
 """Longest wait for each answer then, s; and for the ramp to zero."""
 _SILENCE = 5.0
 """Longest time without the state of a trajectory that is said to run, s: it comes ten times a second."""
-_HEARTBEAT = 0.2
-"""Time between signs of life to the publisher, s: a tenth of the time after which it stops without them."""
 _SPEED_BAND, _LEAST_BAND, _SPEED_TIME = 0.02, 2.0, 0.5
 """A speed is reached when it has been within this share, or so many rad/s, for so long, s."""
 _LEAST_SHARE = 0.9
@@ -132,18 +128,9 @@ class Conductor(Calls):
         self._state: PublisherState | None = None
         self._heard, self._speed = 0.0, math.nan
         self._phase, self._share = WAITING, 0.0
-        self._identify = ActionClient(self._node, Identify, f"{IDENTIFICATION}/identify")
+        self._identify = self._action(Identify, f"{IDENTIFICATION}/identify")
         self._node.create_subscription(PublisherState, f"{PUBLISHER}/state", self._on_state, LATCHED)
-        self._heartbeats = self._node.create_publisher(Empty, f"{PUBLISHER}/heartbeat", 1)
-        self._node.create_timer(_HEARTBEAT, lambda: self._heartbeats.publish(Empty()), clock=STEADY)
-
-    def close(self) -> None:
-        """Leave the ROS graph, after :meth:`stop`."""
-        try:
-            self.stop()
-        finally:
-            self._identify.destroy()
-            super().close()
+        self._heartbeats = self._heartbeats_to(PUBLISHER)
 
     def missing(self) -> list[str]:
         """Return the nodes that have not been heard of, or lack what is needed."""

@@ -20,6 +20,7 @@ from drive_id.live.worker import Cancelled
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.deferred_service import PacedServices, in_executor
 from drive_id.nodes.support.diagnostics import publish_health
+from drive_id.nodes.support.experiment_messages import run_of
 from drive_id.nodes.support.parameters import declare_settings
 from drive_id.nodes.support.qos import STREAM_BEST_EFFORT
 from drive_id.nodes.support.replies import NAMES
@@ -32,9 +33,8 @@ from drive_id.types import Progress
 
 _REQUEST_PERIOD = 0.1  # s between looks at the goal under way
 _FEEDBACK_PERIOD = 0.5  # s
-_OF_RUN = ("trajectory", "i_max", "duration", "repeat")
 _OF_FIT = ("method", "signals", "i_max", "temperatures", "u_dc", *NAMES.values())
-"""Fields of a goal that are handed on as they are."""
+"""Fields of a goal that the fit gets as they are."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,8 @@ class ExperimentNode(Node):
         self._requests.stop(STOP_TIME)
 
     def _job(self, request: Any) -> Job:
-        run = {name: value for name in _OF_RUN if (value := getattr(request, name))}
-        fit = {name: getattr(request, name) for name in _OF_FIT}
-        goal = Goal(request.name, run, request.speeds, None if request.method == request.METHOD_NONE else fit)
+        fit = {name: getattr(request, name) for name in _OF_FIT} if request.method != request.METHOD_NONE else None
+        goal = Goal(request.name, run_of(request), request.speeds, fit)
         self._step, self._beat = Step("The goal begins."), time.monotonic()
         return partial(self._experiment, goal, request.lease_time)
 

@@ -429,9 +429,10 @@ class WindowCutter:
 
         Only in a step in which a current changes its sign, one of some hundred, are they too small.
         """
-        current, grain = stretch.i_abc[:: spacing(self._period)], spacing(self._period)
-        steps = np.concatenate([np.diff(self._coarse(shape), axis=0), np.zeros((len(current) - 1, 1, 3))], axis=1)
-        steps[:, -1] = 0.5 * self._period * grain * (current[1:] + current[:-1])
+        grain = spacing(self._period)
+        current = stretch.i_abc[::grain]
+        charge = 0.5 * self._period * grain * (current[1:] + current[:-1])
+        steps = np.concatenate([np.diff(self._coarse(shape), axis=0), charge[:, None]], axis=1)
         return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(np.abs(steps), axis=0)])
 
     def _lag(self, stretch: _Stretch, shape: FloatArray, begin: IntArray, end: IntArray) -> ComplexArray:

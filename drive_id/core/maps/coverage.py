@@ -12,7 +12,7 @@ from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 FLUX_CELLS = 16
-"""Usual cells per axis of a map: data of every method cover the disc where no hole is wider than a cell."""
+"""Usual cells per axis of the map of method ``full``, whose data cover the disc where no hole is wider than a cell."""
 _STRAY_SHARE = 0.1  # of the typical count of a node, below which samples beyond the rim count as stray
 _NEAR = 1e-9  # nodes, by which a node may lie beyond a line on which it is, by rounding
 _ROUNDING = 1 + 1e-9  # holes are mostly a whole number of nodes wide, which must not depend on rounding

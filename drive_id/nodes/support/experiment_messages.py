@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import array
+from typing import Any
 
 import numpy as np
 from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState, Resolver
@@ -17,6 +18,14 @@ _STATUS = tuple(name for name in feedback.DriveStatus.__dataclass_fields__ if na
 _REPORTED = (
     "session", "dry_run", "elapsed", "duration", "coverage", "mean_speed", "mean_speed_reference", "bias", "completed",
 )  # fmt: skip
+
+
+_OF_RUN = ("trajectory", "i_max", "duration", "repeat")
+
+
+def run_of(request: Any) -> dict[str, Any]:
+    """Return the settings that a request has for its run alone: those that are neither 0 nor empty."""
+    return {name: value for name in _OF_RUN if (value := getattr(request, name))}
 
 
 def stamp_of(message: PhaseCurrents | Resolver | DriveStatus | CurrentReference) -> int:

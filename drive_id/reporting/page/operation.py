@@ -60,12 +60,14 @@ def torque_map(result: Result) -> TorqueMap | None:
     }
     lines = {name: _known(trajectory) for name, trajectory in trajectories.items()}
     known = bool(result.u_dc) and math.isfinite(result.resistance)
+    limits = DriveLimits(result.i_max, model.known_u_dc() / math.sqrt(3)) if known else None
+    corner = corner_speed(model, limits) if limits else math.nan
     return TorqueMap(
         np.where(found.inside, torque, np.nan),
-        corner_speed(model, DriveLimits(result.i_max, model.known_u_dc() / math.sqrt(3))) if known else math.nan,
+        corner,
         {name: line for name, line in lines.items() if len(line) > 1},
         _ripple(result, model) if result.harmonics else None,
-        _speed_map(result, model) if known else None,
+        _speed_map(model, limits, corner) if limits else None,
     )
 
 
@@ -89,11 +91,8 @@ def _ripple(result: Result, model: MachineModel) -> FloatArray:
     return np.where(found.inside, values, np.nan)
 
 
-def _speed_map(result: Result, model: MachineModel) -> SpeedMap | None:
+def _speed_map(model: MachineModel, limits: DriveLimits, corner: float) -> SpeedMap | None:
     """Return the map up to three times the corner speed; None where no torque keeps the limits."""
-    u_dc = model.known_u_dc()
-    limits = DriveLimits(result.i_max, u_dc / math.sqrt(3))
-    corner = corner_speed(model, limits)
     highest = top_speed(model, limits, _WEAKENING * corner) if corner > 0 else 0.0
     if highest <= 0:
         return None
@@ -104,7 +103,7 @@ def _speed_map(result: Result, model: MachineModel) -> SpeedMap | None:
     nearby = np.lib.stride_tricks.sliding_window_view(np.pad(ends[0].torque, 1, mode="edge"), 3).max(axis=1)
     drawn = torque - torque[0] <= nearby[:, None]
     efficiency = np.where(drawn & points.inside(model), points.efficiency, np.nan)
-    return SpeedMap(u_dc, speed, ends[0].torque, torque, efficiency, model.iron.known)
+    return SpeedMap(model.known_u_dc(), speed, ends[0].torque, torque, efficiency, model.iron.known)
 
 
 def _known(found: CurrentLocus) -> CurrentLocus:

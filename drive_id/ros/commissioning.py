@@ -29,7 +29,8 @@ from drive_id.settings import Checked, setting
 from drive_id.types import Progress
 
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way
-_PATIENCE = 3.0  # s for the drive to be brought to rest at the end of the process
+_PATIENCE = 3.0
+"""For a cancelled first start to bring the drive to rest and remove its empty folder, s."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Commissioning(Node):
         super().__init__("commissioning")
         fields = CommissioningSettings.__dataclass_fields__
         self._settings = declare_settings(self, CommissioningSettings, read_only=fields)
-        self._requests = Requests(0.0, partial(in_executor, self))
+        self._requests = Requests(0.0, partial(in_executor, self), patience=_PATIENCE)
         services, name = PacedServices(self), "~/first_start"
         server = RequestServer(self, services, FirstStart, FirstStartGoal, name, self._requests, self._job, self._said)
         self.create_timer(_REQUEST_PERIOD, server.look, clock=STEADY)

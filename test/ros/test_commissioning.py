@@ -114,7 +114,7 @@ def test_a_first_start_is_a_service_and_an_action_that_can_be_cancelled(ros):
     assert (result.result().status, result.result().result.code) == (5, "cancelled")
     assert {entry.stage for entry in stages} == {"Turning"}
     ros.wait(lambda: max(currents[-50:]) < 0.02 * I_MAX, "zero current")
-    assert not (folder / "cut").exists()
+    ros.wait(lambda: not (folder / "cut").exists(), "the end of the empty folder")
     client.destroy()
 
 

@@ -132,7 +132,7 @@ def test_iron_loss_and_a_delay_of_the_voltages_are_found():
     assert loss.value == pytest.approx(0.004, abs=max(4 * loss.sigma, 4e-4))
     behind = data.u_dq + 60e-6 * data.speed[:, None] * (data.u_dq @ J.T)
     found = identified(replace(data, u_dq=behind))
-    assert any("frame of the voltages is behind" in warning for warning in found.report.warnings)
+    assert any("dq frame of the voltages lags" in warning for warning in found.report.warnings)
     assert found.calibrations == ()
     assert found.resistance == pytest.approx(drive.resistance, rel=0.03)
 
@@ -144,7 +144,7 @@ def test_two_speeds_tell_a_delay_from_the_fluxes_and_one_does_not():
     for speed, told in ((np.resize([250.0, 700.0], 50), True), (np.full(50, 700.0), False)):
         data = telemetry(drive, i_dq, speed, rng=rng)
         found = identified(replace(data, u_dq=data.u_dq + 60e-6 * data.speed[:, None] * (data.u_dq @ J.T)))
-        assert any("frame of the voltages is behind" in warning for warning in found.report.warnings) == told
+        assert any("dq frame of the voltages lags" in warning for warning in found.report.warnings) == told
 
 
 @pytest.mark.accuracy

@@ -102,11 +102,21 @@ class Nodes:
         return Identify.Result(success=True, code="ok", message="Identified.", output="/out")
 
     def report(self):
+        """Publish the next state; whoever changes it holds the lock, so that no older one comes behind it."""
+        with self.lock:
+            self.state = next(self.playing, self.state)
+            self._publish()
+
+    def rest_in(self, state):
+        """Be in a state, which also clients that come later are told first."""
+        with self.lock:
+            self.state = state
+            self._publish()
+
+    def _publish(self):
         from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
         from drive_id_msgs.msg import PublisherState
 
-        with self.lock:
-            self.state = next(self.playing, self.state)
         completed = self.state == "idle" and not self.reason
         self.states.publish(
             PublisherState(
@@ -159,7 +169,7 @@ def all_nodes(domain):
 @pytest.fixture
 def nodes(all_nodes):
     all_nodes.begin()
-    all_nodes.report()  # a client that comes now gets the last state, which is that of the test before
+    all_nodes.rest_in("idle")
     return all_nodes
 
 
@@ -278,7 +288,7 @@ def test_nodes_that_do_not_fit_are_refused_before_current_flows(nodes):
 
 
 def test_a_latched_trip_is_told_before_anything_is_recorded(nodes):
-    nodes.state = "tripped"
+    nodes.rest_in("tripped")
     refused("tripped", "trajectory_publisher has tripped")
     assert nodes.calls == []
 

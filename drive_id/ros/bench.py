@@ -105,21 +105,6 @@ class Bench(Calls):
         """Return the nodes that have not been heard of, or lack what is needed."""
         return sorted({*super().missing(), *([] if self._experiments.server_is_ready() else [EXPERIMENT])})
 
-    def wait_until_ready(self, timeout: float = 300.0) -> None:
-        """Wait until all nodes report.
-
-        Parameters
-        ----------
-        timeout : float
-            s. The first start after an installation compiles numerical kernels.
-
-        Raises
-        ------
-        ExperimentError
-            When a node is missing.
-        """
-        self.wait_for_nodes(timeout)
-
     def run_experiment(self, name: str = "", **goal: Any) -> Recording:
         """Record one trajectory, or one for each of ``speeds``, and do not identify the drive.
 

@@ -168,6 +168,27 @@ class Calls:
 
         self._wait(lambda: not self.missing(), lambda: f"still {waiting()}", waiting, timeout)
 
+    def wait_until_ready(self, timeout: float = 300.0) -> None:
+        """Wait until all nodes report and the drive publishes.
+
+        Parameters
+        ----------
+        timeout : float
+            For each of both, s. The first start after an installation compiles numerical kernels.
+
+        Raises
+        ------
+        ExperimentError
+            When a node is missing, or the drive is silent.
+        """
+        self.wait_for_nodes(timeout)
+
+        def waiting() -> str:
+            status = self._statuses[PUBLISHER]
+            return f"waiting for the drive: {status.message}" if status.level == DiagnosticStatus.WARN else ""
+
+        self._wait(lambda: not waiting(), lambda: f"still {waiting()}", waiting, timeout, code="fault")
+
     def wait_for_publisher(self) -> None:
         """Wait until the trajectory publisher reports: only then its replies reach this client.
 

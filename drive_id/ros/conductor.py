@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticStatus
 from drive_id_msgs.action import Identify
 from drive_id_msgs.msg import PublisherState, Resolver
 from drive_id_msgs.srv import Command, StartExperiment, StartRecording, StopRecording
@@ -167,22 +166,6 @@ class Conductor(Calls):
         """
         self.run(Goal(name, run))
         return self.recorded
-
-    def wait_until_ready(self, timeout: float) -> None:
-        """Wait until all nodes report and the drive publishes.
-
-        Raises
-        ------
-        ExperimentError
-            When a node is missing, or the drive is silent.
-        """
-        self.wait_for_nodes(timeout)
-
-        def waiting() -> str:
-            status = self._statuses[PUBLISHER]
-            return f"waiting for the drive: {status.message}" if status.level == DiagnosticStatus.WARN else ""
-
-        self._wait(lambda: not waiting(), lambda: f"still {waiting()}", waiting, timeout, code="fault")
 
     def stop(self) -> list[str]:
         """Bring the drive to zero current and close a recording that was begun here; return what the nodes said."""

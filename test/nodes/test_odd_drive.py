@@ -196,8 +196,9 @@ def test_a_killed_characterize_leaves_no_current_behind(drive, tmp_path):
     client = run()
     killed = time.monotonic()
     client.popen.kill()
-    drive.ros.wait(lambda: drive.state.state == "idle", "the end of the goal")
+    drive.ros.wait(lambda: drive.state.state in {"idle", "tripped"}, "the end of the goal")
     assert drive.at_zero_since - killed < 3.0 + ALLOWANCE
+    drive.clear()  # a busy thread may follow the ramp too late
     client = run()
     begun = time.monotonic()
     drive.ros.wait(lambda: drive.heartbeat > begun, "a heartbeat that this test receives, too")

@@ -17,6 +17,7 @@ from drive_id.core.full.model import ModelSpec
 from drive_id.core.full.solver import CurrentNoise, Solver, noise_products
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather, identify, score
+from drive_id.core.validation.metrics import true_flux
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import MachineMap
 
@@ -73,6 +74,28 @@ def test_one_drive_of_each_family(name):
     assert found.report.warnings == ()
     judged = {"voltage_delay", "resolver_offset", "current_offset_alpha", "current_gain_mismatch_alpha"}
     assert judged <= {entry.name for entry in found.calibrations}
+
+
+@pytest.mark.parametrize("name", MACHINES)
+def test_errors_of_inductances_hold_after_one_second(name):
+    """The 25 batches of a second are too few for slopes of the map: their errors need more than these."""
+    ratios = []
+    for seed in range(2):
+        simulation = run_experiment(machine_map(name), replace(NOISY, current_noise=1e-3, seed=seed), seconds=1.0)
+        found = identify([simulation.samples], FULL)
+        flux_map, modes = found.flux_map, found.error_modes
+        true = true_flux(simulation.truth, flux_map.grid())
+        for axis, psi in enumerate(("psi_d", "psi_q")):
+            within = flux_map.inside.copy()  # with both neighbours, between which the slope is taken
+            for step in (1, -1):
+                within &= np.roll(flux_map.inside, step, axis=axis)
+            error = np.gradient(getattr(flux_map, psi) - true[..., axis], axis=axis)[within]
+            sigma = np.linalg.norm(np.gradient(getattr(modes, psi), axis=axis + 1), axis=0)[within]
+            ratios.append(error / sigma)
+    ratio = np.abs(np.concatenate(ratios))
+    ratio = ratio[np.isfinite(ratio)]  # the true map ends at i_max
+    assert 0.6 < np.sqrt(np.mean(ratio**2)) < 1.15
+    assert np.mean(ratio < 1.96) > 0.91
 
 
 def test_with_harmonics_and_an_inverter_full_is_twenty_times_better_than_joint():

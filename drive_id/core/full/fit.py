@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy import sparse
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
@@ -24,6 +25,7 @@ from drive_id.core.maps.flux_models import BasisRows, jacobian, positive_definit
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.types import TINY, BoolArray, FloatArray
 
+_FORMS = 512  # whose standard errors are evaluated at a time
 _SLOPE_STEP = 0.02
 """Relative to i_max, over which the slope of the drop is taken: wider than the noise, narrower than the step."""
 _BY_SHAPE = 2.0
@@ -101,13 +103,23 @@ class FullFit:
         """Return the standard error of one entry of the estimate."""
         return float(sigma(self.assessment.changes[column]))
 
-    def white_sigma(self, rows: BasisRows) -> FloatArray:
-        """Return the standard errors (N, 2) of fluxes B gamma under white residuals, Wb."""
-        t = self.solution.basis[self.model.map]
-        covariance = np.asarray(t @ (t @ self.solution.white_covariance).T)
-        met = covariance[rows.column[..., None], rows.column[..., None, :]]  # (N, 2, K, K)
-        variance = np.einsum("nak,nakl,nal->na", rows.value, met, rows.value)
-        return np.asarray(self.solution.residual_rms * np.sqrt(np.maximum(variance, 0.0)))
+    def white_sigma(self, rows: BasisRows) -> tuple[FloatArray, FloatArray]:
+        """Return two standard errors (N, 2) of the forms ``rows`` of the map's parameters under white residuals.
+
+        The first also holds the error by the penalty, which is taken for a prior (Wahba 1983, Nychka 1988): the
+        covariance ``C = (Z'Z + P)^-1``. The second is the spread by the residuals alone: ``C - C P C``.
+        """
+        found, map_basis = self.solution, self.solution.basis[self.model.map]
+        forms = sparse.csr_array(rows.sparse(map_basis.shape[0]) @ map_basis)
+        both, spread = np.empty(forms.shape[0]), np.empty(forms.shape[0])
+        for start in range(0, len(both), _FORMS):
+            part = slice(start, start + _FORMS)
+            response = np.asarray(forms[part] @ found.white_covariance)
+            both[part] = forms[part].multiply(response).sum(axis=1)
+            spread[part] = both[part] - np.sum((response @ found.penalty) * response, axis=1)
+        variances = (np.maximum(each, 0.0).reshape(-1, 2) for each in (both, spread))
+        first, second = (found.residual_rms * np.sqrt(each) for each in variances)
+        return first, second
 
     def passive(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) where the symmetric part of the flux map's Jacobian at currents (N, 2), A, is positive definite."""

@@ -67,6 +67,7 @@ class FullSolution:
     # (M, M), lower Cholesky factor of the penalized normal matrix divided by ``scale`` on both sides
     factor: FloatArray
     scale: FloatArray  # (M,)
+    penalty: sparse.csr_array  # (M, M), the part of the normal matrix that comes from no data
     sum_of_squares: float  # of the residuals, (Vs)^2
     rows: float
 
@@ -167,6 +168,7 @@ class Solver:
             summed=estimate,
             factor=factor,
             scale=scale,
+            penalty=penalty,
             sum_of_squares=squares,
             rows=float(self.counts.sum()),
         )

@@ -17,6 +17,12 @@ MOST_MODES = 48  # that a result keeps
 _LARGEST = 2**23  # values of all modes of both fluxes; fine grids get fewer modes
 _HELD = 0.995  # share of the variance that the modes hold before each value is scaled to its standard error
 _SITES = 200  # points of the map, about, by whose fluxes and slopes the modes are chosen
+_WAVES = 4
+"""Further modes that hold what these lack of the errors of inductances."""
+_TURN = 0.7
+"""Phase of their waves from one grid point to the next, rad: central differences find 92 % of their slope."""
+_ACROSS = 3**-0.5
+"""The same along the other axis, relative: that of an error which is the gradient of an isotropic co-energy."""
 _SHARE_OF_OTHERS = 0.1  # weight of the other values in this choice, relative to that of the fluxes
 
 
@@ -52,8 +58,9 @@ def error_modes(
     inside: BoolArray,
     others: tuple[FloatArray, FloatArray],
     frame: Callable[[FloatArray], FloatArray] | None = None,
+    slopes: tuple[BasisRows, FloatArray] | None = None,
 ) -> ErrorModes | None:
-    """Reduce the changes of a fit's unknowns by its batches of time to modes.
+    """Reduce the changes of a fit's unknowns by its batches of time to modes, and to waves if slopes are given.
 
     Parameters
     ----------
@@ -69,6 +76,9 @@ def error_modes(
         Changes of resistance, voltage error and inverter curve, and their standard errors.
     frame : callable, optional
         Turns fluxes (..., 2) of the rows into those of the map.
+    slopes : BasisRows, (N, 2) float, optional
+        Rows of dpsi_d/di_d and dpsi_q/di_q, per step of the grid, and their standard errors, Wb. Waves then hold what
+        the modes lack of these: few modes are smoother than the errors of a map.
 
     Returns
     -------
@@ -78,18 +88,47 @@ def error_modes(
     wanted, (beside, sigma_beside) = sigma[inside], others
     if not (len(wanted) and np.isfinite(wanted).all() and np.isfinite(changes).all() and np.isfinite(beside).all()):
         return None
-    fluxes, slopes = _sampled(changes, rows, inside)
-    samples = np.concatenate([_normalized(fluxes), *map(_normalized, slopes)])
+    fluxes, differences = _sampled(changes, rows, inside)
+    samples = np.concatenate([_normalized(fluxes), *map(_normalized, differences)])
     weight = np.sqrt(_SHARE_OF_OTHERS * len(samples) / len(beside))
     samples = np.concatenate([samples, weight * _relative(beside, sigma_beside)])
     causes = _causes(samples, min(MOST_MODES, max(1, _LARGEST // (2 * inside.size))))
     psi = rows.dot(changes @ causes)  # (N, 2, M)
     if frame is not None:
         psi = np.moveaxis(frame(np.moveaxis(psi, 1, -1)), -1, 1)
-    maps = np.zeros((2, psi.shape[-1], *inside.shape), np.float32)
-    maps[:, :, inside] = np.moveaxis(_scaled(psi, wanted), (1, 2, 0), (0, 1, 2))
-    numbers = _scaled(beside @ causes, sigma_beside)
+    modes, numbers = _scaled(psi, wanted), _scaled(beside @ causes, sigma_beside)
+    if slopes is not None:
+        rows_of_slopes, of_slopes = slopes
+        rest = _incoherent(psi, rows_of_slopes.dot(changes @ causes), wanted, of_slopes)
+        modes = np.concatenate([_scaled(psi, np.sqrt(wanted**2 - rest**2)), _waves(rest, inside)], axis=-1)
+        numbers = np.pad(numbers, ((0, 0), (0, _WAVES)))
+    maps = np.zeros((2, modes.shape[-1], *inside.shape), np.float32)
+    maps[:, :, inside] = np.moveaxis(modes, (1, 2, 0), (0, 1, 2))
     return ErrorModes(maps[0], maps[1], numbers[0], numbers[2:].T.copy(), numbers[1])
+
+
+def _incoherent(psi: FloatArray, slope: FloatArray, sigma: FloatArray, of_slopes: FloatArray) -> FloatArray:
+    """Return the part (N, 2) of the standard errors of the fluxes that waves must hold for those of the slopes, Wb.
+
+    ``psi`` and ``slope`` (N, 2, M) are those of the modes, before they are scaled; slopes are per step of the grid.
+    With x for the square of this part, modes and waves hold ``(sigma^2 - x) w + _TURN^2 x`` of the slope's variance, w
+    being the ratio of the modes' own variances of slope and flux.
+    """
+    own, steep = np.sum(psi**2, axis=-1), np.sum(slope**2, axis=-1)
+    ratio = np.divide(steep, own, out=np.zeros_like(own), where=own > 0)
+    room = _TURN**2 - ratio
+    lacking = np.divide(of_slopes**2 - sigma**2 * ratio, room, out=np.zeros_like(own), where=room > 0)
+    return np.asarray(np.sqrt(np.clip(lacking, 0.0, sigma**2)))
+
+
+def _waves(size: FloatArray, inside: BoolArray) -> FloatArray:
+    """Return modes (N, 2, 4) of standard errors (N, 2): a sine and a cosine of psi_d, mainly along d, and of psi_q."""
+    out, steps = np.zeros((len(size), 2, _WAVES)), np.stack(np.nonzero(inside), axis=-1)
+    for axis in range(2):
+        phase = _TURN * (steps[:, axis] + _ACROSS * steps[:, 1 - axis])
+        out[:, axis, 2 * axis] = size[:, axis] * np.cos(phase)
+        out[:, axis, 2 * axis + 1] = size[:, axis] * np.sin(phase)
+    return out
 
 
 def _sampled(changes: FloatArray, rows: BasisRows, inside: BoolArray) -> tuple[FloatArray, list[FloatArray]]:

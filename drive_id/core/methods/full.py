@@ -177,14 +177,13 @@ class TrueFrame:
         cosine, sine = np.cos(order * self.angle), np.sin(order * self.angle)
         return a * cosine + b * sine, b * cosine - a * sine
 
-    def sigma(self, i_dq: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the standard errors of psi_dq (N, 2), Wb: consistent with the residuals, and for white residuals."""
-        changes = self.fit.assessment.changes[self.fit.model.map]
-        rows, consistent = self.rows(i_dq), np.empty((len(i_dq), 2))
-        for start in range(0, len(i_dq), _POINTS):  # in batches: memory grows with points times time batches
-            part = slice(start, start + _POINTS)
-            consistent[part] = fitted_sigma(BasisRows(rows.column[part], rows.value[part]).dot(changes))
-        return consistent, self.fit.white_sigma(rows)
+    def slope_rows(self, i_dq: FloatArray) -> BasisRows:
+        """Return the rows of dpsi_d/di_d and dpsi_q/di_q at true currents (N, 2), A, in the measured frame."""
+        by_d, by_q = self.fit.model.flux.slope_rows(rotated(i_dq, -self.angle))
+        column, value = (
+            np.stack([getattr(by_d, name)[:, 0], getattr(by_q, name)[:, 1]], axis=1) for name in ("column", "value")
+        )
+        return BasisRows(column, value)
 
 
 def _locked(evidence: Evidence) -> bool:
@@ -244,20 +243,38 @@ def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: Bo
 
 
 def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
-    """Return the standard errors (D, Q, 2), Wb: white ones, scaled by the local mean ratio to the consistent ones.
+    """Return the standard errors (D, Q, 2) of the fluxes, Wb.
 
     They include the flux that the model cannot follow, see :func:`~drive_id.core.full.lack_of_fit.missed_flux`, unless
     the residuals are those of the inverter near zero crossings, which short windows turn into much larger fluxes.
     """
-    consistent, white = frame.sigma(grid[inside])
-    ratio = np.zeros(grid.shape)
-    ratio[inside] = np.divide(consistent, white, out=np.ones_like(white), where=white > 0) ** 2
-    local = np.stack([smoothed(ratio[..., flux], inside) for flux in range(2)], axis=-1)
-    sigma = np.full(grid.shape, np.nan)
-    sigma[inside] = white * np.sqrt(local[inside])
+    sigma = _by_residuals(frame.fit, frame.rows(grid[inside]), inside)
     missed = frame.fit.assessment.misfit.missed_at(rotated(grid[inside], -frame.angle), frame.fit.model.i_max)
     if missed.any() and np.isnan(frame.fit.crossings):
         sigma[inside] = np.sqrt(sigma[inside] ** 2 + missed)
+    return sigma
+
+
+def _by_residuals(fit: FullFit, rows: BasisRows, inside: BoolArray) -> FloatArray:
+    """Return the standard errors (D, Q, 2) of forms of the map at the grid points ``inside``.
+
+    They are those for white residuals and a prior, scaled by how much more the residuals spread the forms around there
+    than white ones would: the spread itself, from few passes of the trajectory, is uncertain at a single point.
+    """
+    changes, consistent = fit.assessment.changes[fit.model.map], np.empty(rows.value.shape[:2])
+    for start in range(0, len(consistent), _POINTS):  # in batches: memory grows with points times time batches
+        part = slice(start, start + _POINTS)
+        consistent[part] = fitted_sigma(BasisRows(rows.column[part], rows.value[part]).dot(changes))
+    sigma, (both, white) = np.full((*inside.shape, 2), np.nan), fit.white_sigma(rows)
+    for axis in range(2):
+        around = []
+        for values in (consistent, white):
+            on_grid = np.zeros(inside.shape)
+            on_grid[inside] = values[:, axis] ** 2
+            around.append(smoothed(on_grid, inside)[inside])
+        spread, usual = around
+        ratio = np.divide(spread, usual, out=np.ones(len(both)), where=usual > 0)
+        sigma[inside, axis] = both[:, axis] * np.sqrt(ratio)
     return sigma
 
 
@@ -321,6 +338,8 @@ def _error_modes(
     curve = shapes @ changes[columns].mean(axis=1)
     others = np.concatenate([changes[[RESISTANCE]], curve[-1:], curve])
     errors = np.concatenate([[fit.sigma(RESISTANCE)], drops[-1:], drops])
+    slope_rows, step = frame.slope_rows(grid[around]), grid[1, 1] - grid[0, 0]
+    slope_rows = replace(slope_rows, value=slope_rows.value * step[:, None])
     return error_modes(
         changes[fit.model.map],
         frame.rows(grid[around]),
@@ -328,6 +347,7 @@ def _error_modes(
         around,
         (others, errors),
         lambda psi: rotated(psi, frame.angle),
+        slopes=(slope_rows, _by_residuals(fit, slope_rows, around)[around]),
     )
 
 

@@ -20,7 +20,7 @@ _FINE = np.deg2rad(np.linspace(-1.5, 1.5, 25))
 _RADII = (1.0, 0.98, 0.95, 0.9, 0.8, 0.7, 0.6, 0.5)
 """Of the circle of the peak torque, in i_max: the first whose MTPA has data around it."""
 _SLOPES = 0.95
-"""The largest of these for inductances: nearer to the edge of the data, slopes are off by up to 6 %."""
+"""The largest of these for inductances: nearer to the edge of the data, slopes are off by up to 5 %."""
 _ENCLOSED = " No sample lies there: the map and its error follow from those around."
 _WORST = 0.5
 """Standard error of a value, relative, beyond which its note says so."""

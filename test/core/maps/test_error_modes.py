@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drive_id.core.maps.error_modes import MOST_MODES, error_modes
-from drive_id.core.maps.flux_models import TensorSpline
+from drive_id.core.maps.flux_models import BasisRows, TensorSpline
 from drive_id.core.numerics.bspline import Axis
 
 SPLINE = TensorSpline(Axis(-10.0, 10.0, 6), Axis(-8.0, 8.0, 5))
@@ -77,6 +77,39 @@ def test_modes_hold_the_errors_of_slopes():
         wanted = np.linalg.norm(np.diff(psi, axis=axis), axis=-1)
         found = np.linalg.norm(np.diff(np.stack([modes.psi_d, modes.psi_q], axis=-1), axis=1 + axis), axis=0)
         assert np.mean(found**2) > 0.6 * np.mean(wanted**2)
+
+
+@pytest.mark.parametrize("steep", [0.3, 1.0])
+def test_waves_hold_what_smooth_modes_lack_of_the_errors_of_slopes(steep):
+    """The standard errors of inductances are those that are given, and those of the fluxes do not change by it."""
+    spline = TensorSpline(Axis(-10.0, 10.0, 6), Axis(-8.0, 8.0, 6))
+    points = np.stack(np.meshgrid(np.linspace(-10, 10, 41), np.linspace(-8, 8, 41), indexing="ij"), axis=-1)
+    inside = np.hypot(points[..., 0] / 10, points[..., 1] / 8) <= 1
+    rows, slopes = spline.rows(points[inside]), spline.slope_rows(points[inside])
+    own = BasisRows(
+        *(np.stack([getattr(r, n)[:, k] for k, r in enumerate(slopes)], axis=1) for n in ("column", "value"))
+    )
+    step = points[1, 1] - points[0, 0]
+    per_step = BasisRows(own.column, own.value * step[:, None])
+    changes = np.random.default_rng(3).normal(size=(spline.parameters, 9))
+    sigma = np.full((41, 41, 2), np.nan)
+    sigma[inside] = 1.3 * np.linalg.norm(rows.dot(changes), axis=-1)
+    wanted = steep * 0.6 * sigma[inside]  # 0.6 rad per step, of which waves can hold 0.7
+    others = (np.ones((6, 9)), np.full(6, 3.0))
+    modes = error_modes(changes, rows, sigma, inside, others, slopes=(per_step, wanted))
+    within = np.hypot(points[..., 0] / 9, points[..., 1] / 7.2) <= 1
+    for axis, psi in enumerate((modes.psi_d, modes.psi_q)):
+        np.testing.assert_allclose(np.linalg.norm(psi, axis=0)[inside], sigma[inside, axis], rtol=1e-5)
+        found = np.linalg.norm(np.gradient(psi, axis=axis + 1), axis=0)[within]
+        ratio = found / _on(inside, wanted[:, axis])[within]
+        assert 0.8 < np.median(ratio) < 1.1
+    assert np.linalg.norm(modes.resistance) == pytest.approx(3.0)
+
+
+def _on(inside, values):
+    out = np.ones(inside.shape)
+    out[inside] = values
+    return out
 
 
 def test_unknown_errors_have_no_modes(grid):

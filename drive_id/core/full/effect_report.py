@@ -138,6 +138,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             i_max=fit.model.i_max,
             drop=drop,
             pole_pairs=columns.pole_pairs,
+            link=columns.link,
             ripple=columns.ripple,
             time_constant=np.inf if columns.winding is None else columns.winding.constant,
         )

@@ -61,11 +61,8 @@ def first_columns(
 ) -> EffectColumns:
     """Return the columns about a fit without effects; default of the pole pairs: those that explain most."""
     model, windows = sums.model, Windows.joined(list(sums.kept()))
-    known, mean, ripple = np.isfinite(windows.link), np.nan, 0.0
-    if known.any():
-        voltage = windows.voltage[known]
-        mean = float(np.vdot(voltage, windows.link[known]).real / np.vdot(voltage, voltage).real)
-    elif _misfits(model, solution, noise):
+    mean, ripple = sums.mean_link, 0.0
+    if np.isnan(mean) and _misfits(model, solution, noise):
         ripple = ripple_frequency(model, solution.estimate, [windows])[0]
     columns = EffectColumns(model, solution.estimate, float(windows.heat.max()), mean, pole_pairs, ripple)
     if pole_pairs is not None:

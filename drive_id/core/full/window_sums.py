@@ -52,6 +52,7 @@ class WindowSums:
         self.model = model
         self.windows = 0
         self.outside = 0
+        self._link = np.zeros(2)  # integral of the DC-link voltage, V s, over the time in which it was recorded, s
         self._cutter = WindowCutter(model.shapes, short=SEGMENT)
         self._folds: list[FloatArray] = []
         self._shared: set[int] = set()  # folds shared with a copy
@@ -84,6 +85,9 @@ class WindowSums:
 
         With ``prompt``, all products are formed immediately, so that :meth:`finished` is quick even after many samples.
         """
+        if samples.dc_link_voltage is not None:
+            known = samples.dc_link_voltage[np.isfinite(samples.dc_link_voltage)]
+            self._link = self._link + samples.sample_period * np.array([known.sum(), len(known)])
         for windows in self._cutter.cut(samples, idle, continues=continues):
             self._take(windows)
         if prompt:
@@ -116,7 +120,7 @@ class WindowSums:
             other._flush()
         other._form_products()
         other._short = dict(self._short)
-        other.outside = self.outside
+        other.outside, other._link = self.outside, self._link
         return other
 
     def freed(self, orders: tuple[int, ...]) -> WindowSums:
@@ -223,6 +227,7 @@ class WindowSums:
         self._cutter.restart(SEGMENT * self._next_start(), self._recording)
         self.windows += theirs.windows
         self.outside += theirs.outside
+        self._link = self._link + theirs._link  # noqa: SLF001
         self._thin()
 
     def state(self) -> SavedSums:
@@ -230,6 +235,7 @@ class WindowSums:
         self._form_products()  # not again in each copy
         done = self.finished()
         out: SavedSums = {"outside": np.array(done.outside), "every": np.array(done._every)}  # noqa: SLF001  # of its own class
+        out["link"] = done._link  # noqa: SLF001
         out["segment"] = np.array(sorted(done._kept), np.int64)  # noqa: SLF001
         kept = [Windows.joined(list(both)) for both in zip(done.kept(), done.kept_short(), strict=True)]
         out["length"] = np.array([len(windows) for windows in kept], np.int64)
@@ -255,7 +261,7 @@ class WindowSums:
                 self._flush(form="folds" not in state)
             self._recording = int(together.recording.max())
         self._form_products()
-        self.outside, self._every = int(state["outside"]), int(state["every"])
+        self.outside, self._every, self._link = int(state["outside"]), int(state["every"]), np.array(state["link"])
         if "folds" in state:
             self._folds = list(exactly(state["folds"], np.array(self.triangles())))
             self._squares = exactly(state["squares"], self._squares)
@@ -293,6 +299,16 @@ class WindowSums:
     def counts(self) -> FloatArray:
         """Rows of each fold, (FOLDS,)."""
         return np.asarray(2.0 * self._counts)
+
+    @property
+    def mean_link(self) -> float:
+        """Mean DC-link voltage over time, V; NaN where it was not recorded.
+
+        The windows do not tell it: which are kept, and how large the voltages in them are, repeats with the trajectory,
+        as a variation of the link may.
+        """
+        integral, time = self._link
+        return float(integral / time) if time > 0 else np.nan
 
     @property
     def thinned(self) -> bool:

@@ -315,6 +315,25 @@ def test_few_windows_are_kept_of_a_long_recording(model, samples, monkeypatch):
     assert max(times) > 0.7
 
 
+def test_the_mean_link_is_that_over_time_whatever_windows_are_kept(free, samples, monkeypatch):
+    """Fluxes scale with it: their windows and voltages repeat with the trajectory, as a variation of the link may."""
+    monkeypatch.setattr(window_sums, "MOST_KEPT", 300)
+    link = np.linspace(396.0, 408.0, len(samples))
+    link[-len(link) // 4 :] = np.nan
+    known = dataclasses.replace(samples, dc_link_voltage=link)
+    wanted = float(np.nanmean(link))
+    once = gathered(free, known)
+    assert once.mean_link == pytest.approx(wanted, rel=1e-9)
+    other = gathered(free, dataclasses.replace(samples, dc_link_voltage=np.full(len(link), 300.0)), samples)
+    other.merge(once)
+    restored = WindowSums(free)
+    restored.restore(other.state())
+    count = np.isfinite(link).sum()
+    for sums in (other, restored, restored.over(free), restored.finished()):
+        assert sums.mean_link == pytest.approx((count * wanted + len(link) * 300.0) / (count + len(link)), rel=1e-9)
+    assert np.isnan(gathered(free, samples).mean_link)
+
+
 @pytest.mark.parametrize("every", [2, 4, 8])
 def test_what_is_kept_of_the_segments_is_not_in_step_with_any_period(every):
     """The mean of a wave over the kept segments is that over a lot as large, whatever its frequency."""

@@ -107,6 +107,7 @@ class Reported:
     i_max: float
     drop: float  # of the inverter, mean of the phases at i_max, V
     pole_pairs: int | None
+    link: float  # mean DC-link voltage, V; NaN where it is not known
     ripple: float  # Hz
     time_constant: float  # of the winding's heat, s; infinite where it stays
 

@@ -25,7 +25,7 @@ class DcLink(DriveEffect):
         return [-np.nan_to_num(at.windows.link / at.link - at.windows.voltage)] if np.isfinite(at.link) else []
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield found.entry("dc_link_share", found.value[0], found.sigma[0], "1")
+        yield found.entry("dc_link_share", found.value[0], found.sigma[0], "1", mean=found.link)
 
 
 @dataclass(frozen=True)

@@ -106,10 +106,9 @@ MAKE_ELSEWHERE = {
     "DISTRO=kilted setup": "by .ci/run, for its tests with Kilted",
     "lint": "by .ci/run", "package": "by .ci/run", "docs": "by .ci/run", "fuzz ARGS=--bombs": "by .ci/run",
     "check": "lint and quick tests: both by .ci/run", "test-rest": "by .ci/run",
-    "lint test-all docs demo": "each alone", "coverage mutation": "each alone",
+    "lint test-all docs demo": "each alone",
     "ament": "needs the network, for linters of its own",
     "colcon": "runs all tests once more",
-    "mutation": "runs tests a hundred times",
     "clean": "would remove the environment that runs this",
 }  # fmt: skip
 _IN_FLIGHT = "at most five messages of a killed node may be under way, which holds at the pace of an idle machine"

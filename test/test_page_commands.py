@@ -94,7 +94,6 @@ MAKE = {
     "endure ARGS='--only kills --rounds 30 --seed 7'": "--rounds 1",
     "endure ARGS='--only live --minutes 62'": "--minutes 0.05 --method joint",
     "endure ARGS='--only requests --requests 1000 --seed 21'": "--requests 3",
-    "endure ARGS='--only soak --method joint --hours 8 --minutes 15'": "--hours 0.01 --minutes 0.1",
 }
 """What ``make`` is called with on the pages and in its help, and further options that shorten it.
 

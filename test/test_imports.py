@@ -146,7 +146,11 @@ ROOMS = {
         NOUNS | LIBRARY | {"drive_id.fitting", "drive_id.live", "drive_id.reporting"}, {"numpy", "yaml"}
     ),
     "drive_id.nodes": Room.of(
-        NOUNS | LIBRARY | {"drive_id.fitting", "drive_id.nodes.support"} | LIVE, {"numpy", "yaml", *ROS}
+        NOUNS | LIBRARY | {"drive_id.fitting", "drive_id.nodes.support", "drive_id.nodes.support.topics"} | LIVE,
+        {"numpy", "yaml", *ROS},
+    ),
+    "drive_id.nodes.support.topics": Room.of(
+        NOUNS | EVERY_CORE | EVERY_FILE | {"drive_id.nodes.support"} | LIVE, {"numpy", *ROS}
     ),
     "drive_id.nodes.support": Room.of(NOUNS | EVERY_CORE | EVERY_FILE | {"drive_id.fitting"} | LIVE, {"numpy", *ROS}),
     "drive_id.ros": Room.of(

@@ -43,7 +43,7 @@ QUICK := $(addprefix test/core/,accumulation experiment maps numerics paper sign
          $(patsubst %,test/test_%.py,changelog config imports message_texts messages quantity settings suite types)
 PYTEST := DRIVE_ID_REQUIRE_ROS=1 PYTHONDONTWRITEBYTECODE= python -m pytest
 
-.PHONY: help setup demo check quick test test-all test-rest bench population safety fuzz endure lint ament docs coverage mutation package colcon clean
+.PHONY: help setup demo check quick test test-all test-rest bench population safety fuzz endure lint ament docs coverage package colcon clean
 
 help: ## list these targets
 	@echo "make TARGET [DISTRO=jazzy|kilted] [PYTHON=python3.13]"
@@ -82,7 +82,7 @@ safety: setup ## measure reaction times to trouble, ten times each: make safety 
 fuzz: setup ## try damaged and hostile inputs for a minute: make fuzz ARGS="--seconds 300", ARGS=--bombs
 	@$(RUN) python benchmarks/fuzz.py $(ARGS)
 
-endure: setup ## try a long stream, many requests and kills: make endure ARGS="--only kills --rounds 30"
+endure: setup ## try hours of live identification, many requests and kills: make endure ARGS="--only kills --rounds 30"
 	@$(RUN) python benchmarks/endurance.py $(ARGS)
 
 lint: setup ## check style and types, also of the pages' Python
@@ -96,10 +96,6 @@ ament: setup ## run the linters of ROS 2 from the Python package index
 	@test -d out/ament || $(RUN) python -m pip install --quiet --disable-pip-version-check --target out/ament \
 	    --requirement tools/requirements-ament.txt
 	@$(RUN) PYTHONPATH="$(CURDIR)/out/ament:$$PYTHONPATH" python -m pytest -q test/test_ament_lint.py
-
-mutation: setup ## change core/checks and core/signals in 100 places, and list the changes that no test notices
-	@$(RUN) python tools/mutation.py --tests test/core/checks test/core/signals test/inspection --mutants 100 $(ARGS) \
-	    -- drive_id/core/checks drive_id/core/signals
 
 coverage: setup ## run the tests and report which lines of core and files they reach: all tests must reach 95 %
 	@$(RUN) DRIVE_ID_REQUIRE_ROS=1 python -m pytest -n $(JOBS) --dist loadscope -q --cov=drive_id.core --cov=drive_id.files \

@@ -1,14 +1,13 @@
-"""Endurance: hours of streaming, many requests, killed nodes. Prints the tables of docs/engineering/reliability.md.
+"""Hours of live identification, many requests, killed nodes: prints the tables of docs/engineering/reliability.md.
 
     python benchmarks/endurance.py                               everything, in a few minutes
-    python benchmarks/endurance.py --only soak --method joint --hours 8 --minutes 15
     python benchmarks/endurance.py --only live --minutes 62
     python benchmarks/endurance.py --only requests --requests 1000
     python benchmarks/endurance.py --only kills --rounds 30
     python benchmarks/endurance.py --only interrupts --rounds 300     of fits with several workers
 
 The seed determines requests, kills and interrupts; the timing of threads and processes differs from run to run. The
-exit code is 1 if there is a finding. Modules: soak, live_watch, node_requests, node_kills, interrupts.
+exit code is 1 if there is a finding. Modules: live_watch, node_requests, node_kills, interrupts.
 """
 
 from __future__ import annotations
@@ -26,61 +25,56 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: befor
 from reporting import machine
 
 
-def soak(options: argparse.Namespace, folder: Path) -> Iterator[str]:
-    """Test hours of streaming; yield findings."""
-    from soak import soak as run  # noqa: PLC0415  # needs ROS 2, as the parts below
-
-    result = run(options.hours, options.minutes, folder / "soak", options.method)
-    _row("stream", "duration", "samples", "lost", "read live", "memory", head=True)
-    share = f"{4 * result.read / result.published:.0%}"
-    memory = f"{min(result.memory):.0f} to {max(result.memory):.0f} MB, growth {result.growth:+.0f} MB"
-    lost = str(result.published - result.written)
-    _row(f"{result.hours:.2f} h", f"{result.wall / 60:.1f} min", str(result.published), lost, share, memory)
-    yield from result.findings
-
-
 def live(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     """Test a drive that is identified live, in real time; yield findings."""
-    from live_watch import watch  # noqa: PLC0415
+    from live_watch import watch  # noqa: PLC0415  # needs ROS 2, as the parts below
 
-    result = watch(options.minutes, folder / "live", options.method)
+    found = watch(options.minutes, folder / "live", options.method)
     _row("node", "memory at first, MB", "median", "peak", "growth per hour", head=True)
-    for name in result.memory:
-        _row(f"`{name}`", *result.row(name))
-    answered = ", ".join(f"{count} `{code}`" for code, count in result.codes.most_common())
-    print(f"\n{options.minutes:g} min: {result.asked} requests, {answered}, slowest {result.slowest:.1f} s; ", end="")
-    print(f"{result.recorded} samples recorded, {result.dropped} lost; {len(result.trips)} trips")
-    for reason, count in Counter(re.sub(r"[-+.\d]*\d", "…", reason) for reason in result.trips).most_common():
+    for name in found.memory:
+        _row(f"`{name}`", *found.row(name))
+    replies = found.replies
+    print(f"\n{options.minutes:g} min: {replies.codes.total()} requests, {replies.told}, ", end="")
+    print(f"slowest {replies.slowest:.1f} s; {found.recorded} samples recorded, {found.dropped} lost; ", end="")
+    print(f"{len(found.trips)} trips")
+    for reason, count in Counter(re.sub(r"[-+.\d]*\d", "…", reason) for reason in found.trips).most_common():
         print(f"{count} × {reason}")
-    yield from result.findings
+    yield from replies.findings
 
 
 def requests(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     """Test many requests; yield findings."""
     from node_requests import many_requests  # noqa: PLC0415
 
-    result = many_requests(options.requests, options.seed, folder / "requests")
+    found = many_requests(options.requests, options.seed, folder / "requests")
+    replies, memory = found.replies, found.memory
     _row("requests", "answered", "codes", "slowest", "memory", "growth per 1000 requests", head=True)
-    codes = ", ".join(f"{count} `{code}`" for code, count in result.codes.most_common())
-    memory = f"{min(result.memory, default=0):.0f} to {max(result.memory, default=0):.0f} MB"
     _row(
-        str(result.sent), str(result.answered), codes, f"{result.slowest:.1f} s", memory, f"{result.growth:+.0f} MB"
+        str(found.sent), str(found.sent - replies.codes["no answer"]), replies.told, f"{replies.slowest:.1f} s",
+        f"{min(memory, default=0):.0f} to {max(memory, default=0):.0f} MB", f"{found.growth:+.0f} MB",
     )  # fmt: skip
-    yield from result.findings
+    yield from replies.findings
 
 
 def kills(options: argparse.Namespace, folder: Path) -> Iterator[str]:
     """Test rounds of killed nodes; yield findings."""
     from node_kills import kills as run  # noqa: PLC0415
 
-    result = run(options.rounds, options.seed, folder / "kills")
+    result, findings = run(options.rounds, options.seed, folder / "kills")
     _row("rounds", "actions", "recordings", "messages", "longest loss", "in flight", "findings", head=True)
     actions = ", ".join(f"{count} × {action}" for action, count in result.actions.most_common())
-    found = str(len(result.findings))
     in_flight = f"{result.runs_cut} times, at most {result.most_cut}"
     longest = f"{result.longest:.2f} s"
-    _row(str(result.rounds), actions, str(result.recordings), str(result.messages), longest, in_flight, found)
-    yield from result.findings
+    _row(
+        str(result.rounds),
+        actions,
+        str(result.recordings),
+        str(result.messages),
+        longest,
+        in_flight,
+        str(len(findings)),
+    )
+    yield from findings
 
 
 def interrupts(options: argparse.Namespace, folder: Path) -> Iterator[str]:
@@ -96,7 +90,6 @@ def interrupts(options: argparse.Namespace, folder: Path) -> Iterator[str]:
 
 
 PARTS: dict[str, Callable[[argparse.Namespace, Path], Iterator[str]]] = {
-    "soak": soak,
     "live": live,
     "requests": requests,
     "kills": kills,
@@ -115,8 +108,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default=",".join(PARTS), help=f"parts, separated by commas: {','.join(PARTS)}")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--hours", type=float, default=0.1, help="length of the stream, at 10 kHz on four topics")
-    parser.add_argument("--minutes", type=float, default=1.0, help="time in which it is published; duration of live")
+    parser.add_argument("--minutes", type=float, default=1.0, help="duration of live")
     parser.add_argument("--method", default="full", help="method of the live identification")
     parser.add_argument("--requests", type=int, default=50)
     parser.add_argument("--rounds", type=int, default=3, help="rounds of kills and of interrupts")

@@ -10,86 +10,25 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections import deque
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 from population_drives import drive, on_free_shaft
 
-from drive_id.bench.bench import MessageBlock, SimulatedBench
 from drive_id.bench.drive import build_machine
 from drive_id.bench.effects import largest_torque
-from drive_id.bench.settings import BenchSettings, SimulationSettings
-from drive_id.core.experiment.feedback import SampleBlock
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.experiment.state_machine import ExperimentState
-from drive_id.core.experiment.supervision import Report, SupervisedExperiment
-from drive_id.types import MachineMap
 
-TICK = 10_000_000
+_TICK = 10_000_000
 """Time between two blocks of the drive, ns."""
 TRIP = 1.2
-_SETTLING = 40
-"""Ticks before the start, in which the publisher hears the drive."""
+sys.path.insert(0, str(Path(__file__).parent.parent / "test" / "support"))  # the cell that tests use as well
 _RPM = 2 * math.pi / 60
-
-
-class Cell:
-    """A supervised experiment and a simulated drive, tick by tick, without processes.
-
-    Parameters
-    ----------
-    machine_map : MachineMap
-    drive : SimulationSettings
-    settings : ExperimentSettings
-    late : int
-        Ticks by which messages of the drive arrive late.
-    """
-
-    def __init__(
-        self, machine_map: MachineMap, drive: SimulationSettings, settings: ExperimentSettings, late: int = 0
-    ) -> None:
-        self.bench = SimulatedBench(machine_map, drive, BenchSettings())
-        self.experiment = SupervisedExperiment(settings)
-        self.now = 1_000_000_000
-        self.current = self.speed = 0.0
-        """Largest measured ones so far, A and rad/s."""
-        self._said: deque[list[MessageBlock]] = deque([[] for _ in range(late)])
-
-    def tick(self) -> Report:
-        """Let both sides run on for a tick, and return the state."""
-        steady, experiment = self.now * 1e-9, self.experiment
-        blocks = self.bench.advance(self.now)
-        for block in blocks:
-            self.current = max(self.current, *(float(np.abs(phase).max()) for phase in block.currents))
-            self.speed = max(self.speed, float(np.abs(block.resolver[1]).max()))
-        self._said.append(blocks)
-        for block in self._said.popleft():
-            head = (block.stamp, block.first_sample, block.sample_period)
-            experiment.currents(self.now, steady, SampleBlock(*head, block.currents))
-            experiment.resolver(self.now, steady, SampleBlock(*head, block.resolver))
-        status = self.bench.status()
-        if status is not None:
-            experiment.status(self.now, steady, replace(status, current_limit=math.nan))
-        for made in experiment.advance(self.now, steady):
-            d, q = made.i_dq.T
-            session: dict[str, Any] = {"session": made.session, "count": made.count, "safe": made.safe}
-            self.bench.references.add(made.stamp, made.sample_period, d, q, stator_frame=False, **session)
-        self.now += TICK
-        return experiment.report(self.now, steady)
-
-    def run(self) -> Report:
-        """Run one experiment to its end, and return the last state."""
-        for _ in range(_SETTLING):
-            self.tick()
-        answer = self.experiment.start(self.now, self.now * 1e-9)
-        assert answer.success, answer.message
-        self.current = self.speed = 0.0
-        while (report := self.tick()).state not in {ExperimentState.IDLE, ExperimentState.TRIPPED}:
-            pass
-        return report
 
 
 @dataclass(frozen=True)
@@ -129,11 +68,14 @@ def outcome(seed: int, number: int, seconds: float) -> Outcome | None:
         shaft_acceleration=torque * machine.pole_pairs / inertia * float(rng.uniform(0.9, 1.1)),
         mean_speed=swing.mean_speed * electrical, swing_frequency=swing.frequency, amplitude=swing.amplitude,
     )  # fmt: skip
-    cell = Cell(machine_map, own, settings, int(rng.integers(0, 6)))
+    late = int(rng.integers(0, 6))
+    cell = import_module("supervised_cell").Cell(machine_map, own, settings, tick=_TICK, late=late, limited=False)
     report = cell.run()
     reason = report.reason if report.state is ExperimentState.TRIPPED else ""
     name = f"drive {number} ({one.family})"
-    return Outcome(name, cell.speed / (swing.speed_max * electrical), cell.current / one.i_max, reason)
+    return Outcome(
+        name, float(max(cell.speeds)) / (swing.speed_max * electrical), float(max(cell.peaks)) / one.i_max, reason
+    )
 
 
 def outcomes(seed: int, count: int, seconds: float) -> Iterator[Outcome | None]:

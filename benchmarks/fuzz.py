@@ -16,10 +16,10 @@ Findings are written to ``fuzz_findings.json``, each with the command that repea
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import multiprocessing
 import os
-import queue
 import random
 import re
 import resource
@@ -29,7 +29,8 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -210,23 +211,19 @@ def _differs(found: Path, good: Path) -> str:
 # -- workers -----------------------------------------------------------------------------------------------------------
 
 
-class Worker:
+class Tester:
     """Tries inputs one after the other, each in a fork of this process, which has loaded everything before."""
 
-    def __init__(self, corpus: Path, kinds: Collection[str]) -> None:
+    def __init__(self, corpus: Path, scratch: Path, kinds: Collection[str]) -> None:
         self._corpus = corpus
-        self._kinds = set(kinds)
-        self._scratch = Path(tempfile.mkdtemp(prefix="fuzz-", dir=corpus.parent))
+        self._scratch = Path(tempfile.mkdtemp(dir=scratch))
         os.environ["TMPDIR"] = str(self._scratch)
         tempfile.tempdir = None
-
-    def warm_up(self) -> None:
-        """Use everything once in this process, which compiles and loads it; the forks then have it."""
         self._good("nocrc.mcap", "joint")
-        drive_id.load(self._corpus / "result")
-        drive_id.simulate(self._corpus / "machine.npz", 0.05)
-        if self._kinds & set(LOG_KINDS | LIMIT_KINDS):
-            load_readers(self._corpus)
+        drive_id.load(corpus / "result")
+        drive_id.simulate(corpus / "machine.npz", 0.05)
+        if set(kinds) & set(LOG_KINDS | LIMIT_KINDS):
+            load_readers(corpus)
 
     def _good(self, name: str, method: str) -> Path:
         """Return the result of a good input."""
@@ -237,11 +234,7 @@ class Worker:
             drive_id.fit(self._corpus / name, settings=drive_id.FitSettings(method=method)).save(target)
         return target
 
-    def close(self) -> None:
-        """Remove what it wrote."""
-        shutil.rmtree(self._scratch, ignore_errors=True)
-
-    def attempt(self, kind: str, number: int, *, show: bool = False) -> Finding | None:
+    def attempt(self, kind: str, number: int, *, show: bool) -> Finding | None:
         """Make one input and try it."""
         folder = self._scratch / "case"
         shutil.rmtree(folder, ignore_errors=True)
@@ -264,62 +257,35 @@ class Worker:
         return Finding(outcome, kind, number, case.damage[:300], case.arguments, said, repeat)
 
 
-def _work(corpus: Path, kinds: Collection[str], first: int, step: int, end: float, results: Any) -> None:
-    """Try inputs of all kinds in turn until the time is over."""
-    with patch("drive_id.pictures.plots.result_pictures", return_value={}):  # drawing takes longer than all else
-        worker = Worker(corpus, kinds)
-        try:
-            worker.warm_up()
-            for number in range(first, 1 << 40, step):
-                for kind in kinds:
-                    if time.time() > end:
-                        return
-                    results.put((kind, worker.attempt(kind, number)))
-        finally:
-            worker.close()
-            results.put(None)
+_testers: list[Tester] = []
+"""That of this process, which begins with it."""
 
 
-def fuzz(
-    corpus: Path, kinds: Collection[str], seconds: float, seed: int, jobs: int
+def _begin(*of_tester: Any) -> None:
+    """Load everything; drawing would take longer than all else."""
+    patch("drive_id.pictures.plots.result_pictures", return_value={}).start()
+    _testers.append(Tester(*of_tester))
+
+
+def _attempt(kind: str, number: int, show: bool) -> tuple[str, Finding | None]:
+    return kind, _testers[0].attempt(kind, number, show=show)
+
+
+def tried(
+    inputs: Iterable[tuple[str, int]], jobs: int, corpus: Path, kinds: Collection[str], *, show: bool = False
 ) -> Iterator[tuple[str, Finding | None]]:
-    """Yield kind and finding of each input that was tried.
-
-    Parameters
-    ----------
-    corpus : Path
-    kinds : collection of str
-        Keys of :data:`KINDS`.
-    seconds : float
-        Without warming up.
-    seed : int
-        First number.
-    jobs : int
-        Processes.
-    """
-    context = multiprocessing.get_context("spawn")
-    results: Any = context.Queue()
-    end = time.time() + seconds
-    workers = [
-        context.Process(target=_work, args=(corpus, kinds, seed + k, jobs, end, results), daemon=True)
-        for k in range(jobs)
-    ]
-    for worker in workers:
-        worker.start()
-    left = jobs
-    while left:
-        try:
-            result = results.get(timeout=1.0)
-        except queue.Empty:
-            if any(worker.exitcode for worker in workers):
-                raise SystemExit("A process that tries inputs has died: use fewer --jobs.") from None
-            continue
-        if result is None:
-            left -= 1
-        else:
-            yield result
-    for worker in workers:
-        worker.join()
+    """Try inputs, kinds and numbers, in so many processes; yield kind and finding of each."""
+    context, waiting = multiprocessing.get_context("spawn"), set[Future[tuple[str, Finding | None]]]()
+    with (
+        tempfile.TemporaryDirectory(prefix="drive_id-fuzz-") as scratch,
+        ProcessPoolExecutor(jobs, context, _begin, (corpus, Path(scratch), kinds)) as pool,
+    ):
+        for kind, number in inputs:
+            waiting.add(pool.submit(_attempt, kind, number, show))
+            if len(waiting) >= 2 * jobs:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                yield from (each.result() for each in done)
+        yield from (each.result() for each in waiting)
 
 
 # -- command line ------------------------------------------------------------------------------------------------------
@@ -352,46 +318,36 @@ def main() -> None:
         if set(kinds) & set(LOG_KINDS | LIMIT_KINDS) and not (corpus / "slow.csv").exists():
             make_logs(corpus, drive_id.simulate("ipm", SECONDS, seed=7, noise=1e-3, trajectory=TRAJECTORY))
         findings: list[Finding] = []
-        tried: Counter[str] = Counter()
-        for kind, finding in _attempts(corpus, kinds, options):
-            tried[kind] += 1
+        counts: Counter[str] = Counter()
+        for kind, finding in _chosen(corpus, kinds, options):
+            counts[kind] += 1
             if finding is not None:
                 findings.append(finding)
                 print(f"{finding.outcome}: {finding.repeat}\n  {finding.damage}\n  {finding.said}", flush=True)
-    report(findings, tried)
+    report(findings, counts)
     if findings:
         options.findings.write_text(json.dumps([asdict(finding) for finding in findings], indent=1))
         raise SystemExit(1)
-    if not tried:
+    if not counts:
         raise SystemExit("Nothing was tried: give it more --seconds.")
 
 
-def _attempts(corpus: Path, kinds: list[str], options: argparse.Namespace) -> Iterator[tuple[str, Finding | None]]:
+def _chosen(corpus: Path, kinds: list[str], options: argparse.Namespace) -> Iterator[tuple[str, Finding | None]]:
     """Yield kind and finding of each input that the options ask for."""
     if options.replay:
         kind, _, number = options.replay.partition(":")
-        return _singly(corpus, [(kind, int(number))], show=True)
+        return tried([(kind, int(number))], 1, corpus, [kind], show=True)
     chosen = [("bomb", k) for k, name in enumerate(BOMBS) if options.bombs is not None and options.bombs in name]
     if chosen and not options.count:
-        return _singly(corpus, chosen, show=False)
+        return tried(chosen, 1, corpus, ())
     seed = options.seed if options.seed is not None else random.SystemRandom().randrange(1 << 32)
     print(f"Numbers from {seed}", flush=True)
     if options.count:
         chosen += [(kind, seed + k) for k in range(options.count) for kind in kinds]
-        return _singly(corpus, chosen, show=False)
-    return fuzz(corpus, kinds, options.seconds, seed, options.jobs)
-
-
-def _singly(corpus: Path, chosen: list[tuple[str, int]], *, show: bool) -> Iterator[tuple[str, Finding | None]]:
-    """Try inputs one after the other."""
-    with patch("drive_id.pictures.plots.result_pictures", return_value={}):
-        worker = Worker(corpus, {kind for kind, _ in chosen})
-        try:
-            worker.warm_up()
-            for kind, number in chosen:
-                yield kind, worker.attempt(kind, number, show=show)
-        finally:
-            worker.close()
+        return tried(chosen, 1, corpus, kinds)
+    end = time.time() + options.seconds
+    endless = ((kind, number) for number in itertools.count(seed) for kind in kinds)
+    return tried(itertools.takewhile(lambda _: time.time() < end, endless), options.jobs, corpus, kinds)
 
 
 def report(findings: list[Finding], tried: Counter[str]) -> None:

@@ -72,6 +72,11 @@ def _dangling(path: Path) -> None:
     (path.parent / "bag_0.mcap").symlink_to("nowhere")
 
 
+def _journal(path: Path) -> None:
+    os.mkfifo(path)
+    path.with_name("x.db3").write_bytes(b"SQLite format 3\0" + bytes(1000))
+
+
 def _sparse(head: bytes) -> Callable[[Path], None]:
     def put(path: Path) -> None:
         with path.open("wb") as stream:
@@ -216,6 +221,7 @@ _MERGES = "b0: &b0 {x: 1}\n" + "".join(f"b{k}: &b{k} {{<<: [*b{k - 1}, *b{k - 1}
 BOMBS: dict[str, Bomb] = {
     "fifo as metadata.yaml": _odd(os.mkfifo, "bag/metadata.yaml", "info", "bag"),
     "fifo as a bag": _odd(os.mkfifo, "bag.mcap", "fit", "bag.mcap", *_FIT),
+    "fifo as a journal of sqlite": _odd(_journal, "x.db3-wal", "fit", "x.db3", *_FIT),
     "fifo as an information file": _odd(os.mkfifo, "x.info", "fit", "x.info", *_FIT),
     "fifo as settings": _odd(os.mkfifo, "x.yaml", "fit", "OURS", "--config", "x.yaml", *_FIT),
     "fifo as a signals file": _odd(os.mkfifo, "x.yaml", "fit", "OURS", "--signals", "x.yaml", *_FIT),

@@ -10,7 +10,7 @@ import json
 import random
 import shutil
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -203,25 +203,56 @@ _TOKENS = (
 )  # fmt: skip
 
 
-def _flipped_sample(folder: Path, source: Path, rng: random.Random) -> str:
+def in_bytes(path: Path, rng: random.Random) -> str:
+    """Damage a file, or one of a folder; texts line by line, too. Return what was done."""
+    file = rng.choice(sorted(path.iterdir())) if path.is_dir() else path
+    if file.suffix in (".csv", ".yaml") and rng.random() < 0.5:
+        return in_lines(file, rng)
+    data, said = damaged(file.read_bytes(), rng)
+    file.write_bytes(data)
+    return said
+
+
+def in_lines(path: Path, rng: random.Random) -> str:
+    """Damage a text line by line."""
+    text, said = damaged_text(path.read_text(encoding="utf-8"), rng)
+    path.write_bytes(text.encode("utf-8", "surrogatepass"))
+    return said
+
+
+def in_arrays(path: Path, rng: random.Random) -> str:
+    """Damage an npz, mostly by its arrays; the digest of an information file is mostly renewed."""
+    if rng.random() < 0.3:
+        return in_bytes(path, rng)
+    signed = path.suffix == ".info" and rng.random() < 0.7
+    data, said = changed_arrays(path, rng, signed=signed)
+    path.write_bytes(data)
+    return f"{said}, signed" if signed else said
+
+
+def in_metadata(path: Path, rng: random.Random) -> str:
+    """Damage the metadata.yaml of a bag."""
+    return in_bytes(path / "metadata.yaml", rng)
+
+
+def in_a_sample(path: Path, rng: random.Random) -> str:
     """Flip one bit in the values of one sample in a container without checksums."""
-    data = bytearray(source.read_bytes())
-    with AnyReader([source]) as reader:
+    if path.suffix == ".db3":
+        return _in_a_row(path, rng)
+    data = bytearray(path.read_bytes())
+    with AnyReader([path]) as reader:
         messages = [(c.topic, bytes(raw)) for c, _, raw in reader.messages() if c.topic != "/current_reference"]
     topic, raw = messages[rng.randrange(len(messages))]
     start = data.find(raw)
     at, bit = rng.randrange(len(raw) // 2, len(raw)), rng.randrange(8)
     assert start >= 0
     data[start + at] ^= 1 << bit
-    (folder / source.name).write_bytes(bytes(data))
+    path.write_bytes(bytes(data))
     return f"bit {bit} of byte {at} in a message on {topic} flipped"
 
 
-def _flipped_sqlite(folder: Path, source: Path, rng: random.Random) -> str:
-    """Flip one bit in a message of a sqlite3 file."""
-    target = folder / source.name
-    shutil.copy(source, target)
-    with sqlite3.connect(target) as database:
+def _in_a_row(path: Path, rng: random.Random) -> str:
+    with sqlite3.connect(path) as database:
         rows = database.execute("SELECT id, data FROM messages").fetchall()
         key, raw = rows[rng.randrange(len(rows))]
         at, bit = rng.randrange(len(raw)), rng.randrange(8)
@@ -271,7 +302,7 @@ def changed_arrays(path: Path, rng: random.Random, *, signed: bool) -> tuple[byt
     return stream.getvalue(), said
 
 
-def damage_result(result: Path, rng: random.Random) -> str:
+def in_a_result(result: Path, rng: random.Random) -> str:
     """Damage one file of a result folder, or change an entry of its JSON; return what was done."""
     file = result / rng.choice(("identification.json", "flux_map.npz"))
     if rng.random() < 0.7:  # as written by earlier versions: damage is not known by a digest
@@ -298,96 +329,33 @@ Kind = Callable[[Path, Path, random.Random], tuple[Any, ...]]
 """Writes a case into a folder, from the corpus: returns the last entries of its :class:`Case`, from the damage on."""
 
 
-def _command(rng: random.Random, name: str, *, full: bool = True) -> tuple[str, ...]:
-    """Return ``info`` or a fit by one of the methods."""
-    if rng.random() < 0.25:
-        return ("info", name)
-    method = rng.choices(("joint", "psm", "full"), (6, 2, 1 if full else 0))[0]
-    return ("fit", name, "--output", "out", "--method", method)
+Damage = Callable[[Path, random.Random], str]
+"""Damages a file or folder in place, and returns what was done."""
 
 
-def _compare(arguments: tuple[str, ...], good: str) -> str:
-    return f"{good} {arguments[-1]}" if arguments[0] == "fit" else ""
+def changed(source: str, damage: Damage, commands: Mapping[str, int], good: str = "") -> Kind:
+    """Return what damages a copy from the corpus, and gives it to one of the commands, which are weighted.
 
+    ``{x}`` is the name of the copy. Fits must agree with that of ``good``, if that is given.
+    """
 
-def _of_bytes(name: str) -> Kind:
     def make(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
-        source = corpus / name
-        data, said = damaged(source.read_bytes(), rng)
-        (folder / source.name).write_bytes(data)
-        arguments = _command(rng, source.name)
-        if rng.random() < 0.1 and source.suffix == ".mcap":
-            return said, ("recover", source.name, "--output", "out"), ""
-        return said, arguments, _compare(arguments, name)
+        copy = folder / Path(source).name
+        if (corpus / source).is_dir():
+            shutil.copytree(corpus / source, copy)
+        else:
+            shutil.copy(corpus / source, copy)
+        said = damage(copy, rng)
+        command = rng.choices(list(commands), list(commands.values()))[0]
+        arguments = tuple(word.format(x=copy.name, corpus=corpus) for word in command.split())
+        return said, arguments, f"{good} {arguments[-1]}" if good and arguments[0] == "fit" else ""
 
     return make
 
 
-def _of_sample(name: str) -> Kind:
-    flip = _flipped_sqlite if name.endswith(".db3") else _flipped_sample
-
-    def make(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
-        said = flip(folder, corpus / name, rng)
-        method = rng.choices(("joint", "psm", "full"), (6, 2, 1))[0]
-        arguments = ("fit", name, "--output", "out", "--method", method)
-        return said, arguments, _compare(arguments, name)
-
-    return make
-
-
-def _metadata(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
-    shutil.copytree(corpus / "ours", folder / "ours")
-    file = folder / "ours" / "metadata.yaml"
-    text = file.read_text(encoding="utf-8")
-    if rng.random() < 0.5:
-        data, said = damaged(text.encode(), rng)
-    else:
-        changed, said = damaged_text(text, rng)
-        data = changed.encode("utf-8", "surrogatepass")
-    file.write_bytes(data)
-    arguments = _command(rng, "ours", full=False)
-    return said, arguments, _compare(arguments, "ours")
-
-
-def _information(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
-    source = corpus / "ours.info"
-    if rng.random() < 0.3:
-        data, said = damaged(source.read_bytes(), rng)
-    else:
-        signed = rng.random() < 0.7
-        data, said = changed_arrays(source, rng, signed=signed)
-        said += ", signed" if signed else ""
-    (folder / "ours.info").write_bytes(data)
-    if rng.random() < 0.3:
-        return said, ("info", "ours.info"), ""
-    return said, ("fit", "ours.info", "--output", "out"), ""
-
-
-def _machine(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
-    source = corpus / "machine.npz"
-    data, said = damaged(source.read_bytes(), rng) if rng.random() < 0.3 else changed_arrays(source, rng, signed=False)
-    (folder / "machine.npz").write_bytes(data)
-    return said, ("simulate", "--machine", "machine.npz", "--output", "bag", "--seconds", "0.05"), ""
-
-
-def _result(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
-    shutil.copytree(corpus / "result", folder / "result")
-    return damage_result(folder / "result", rng), ("info", "result"), ""
-
-
-def _signals(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
-    changed, said = damaged_text((corpus / "signals.yaml").read_text(), rng)
-    (folder / "signals.yaml").write_bytes(changed.encode("utf-8", "surrogatepass"))
-    link = folder / "ours"
-    link.symlink_to(corpus / "ours")
-    return said, ("fit", "ours", "--signals", "signals.yaml", "--output", "out", *JOINT), ""
-
-
-def _config(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
-    changed, said = damaged_text((corpus / "config.yaml").read_text(), rng)
-    (folder / "config.yaml").write_bytes(changed.encode("utf-8", "surrogatepass"))
-    (folder / "ours").symlink_to(corpus / "ours")
-    return said, ("fit", "ours", "--config", "config.yaml", "--output", "out"), ""
+FIT = "fit {x} --output out --method "
+_FITS = {f"{FIT}joint": 6, f"{FIT}psm": 2, f"{FIT}full": 1}
+_BAG = _FITS | {"info {x}": 3}
 
 
 def _schema(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[str, ...], str]:
@@ -414,18 +382,23 @@ def _schema(corpus: Path, folder: Path, rng: random.Random) -> tuple[str, tuple[
 
 
 KINDS: dict[str, Kind] = {
-    "mcap": _of_bytes("ours/ours_0.mcap"),
-    "mcap_plain": _of_bytes("plain/plain_0.mcap"),
-    "mcap_nocrc": _of_bytes("nocrc.mcap"),
-    "mcap_packed": _of_bytes("packed.mcap.zstd"),
-    "sqlite": _of_bytes("sqlite.db3"),
-    "sample_mcap": _of_sample("nocrc.mcap"),
-    "sample_sqlite": _of_sample("sqlite.db3"),
-    "metadata": _metadata,
-    "information": _information,
-    "machine": _machine,
-    "result": _result,
-    "signals": _signals,
-    "config": _config,
+    **{
+        kind: changed(name, in_bytes, _BAG | ({"recover {x} --output out": 1} if name.endswith(".mcap") else {}), name)
+        for kind, name in {
+            "mcap": "ours/ours_0.mcap",
+            "mcap_plain": "plain/plain_0.mcap",
+            "mcap_nocrc": "nocrc.mcap",
+            "mcap_packed": "packed.mcap.zstd",
+            "sqlite": "sqlite.db3",
+        }.items()
+    },
+    "sample_mcap": changed("nocrc.mcap", in_a_sample, _FITS, "nocrc.mcap"),
+    "sample_sqlite": changed("sqlite.db3", in_a_sample, _FITS, "sqlite.db3"),
+    "metadata": changed("ours", in_metadata, {f"{FIT}joint": 6, f"{FIT}psm": 2, "info {x}": 3}, "ours"),
+    "information": changed("ours.info", in_arrays, {"fit {x} --output out": 7, "info {x}": 3}),
+    "machine": changed("machine.npz", in_arrays, {"simulate --machine {x} --output bag --seconds 0.05": 1}),
+    "result": changed("result", in_a_result, {"info {x}": 1}),
+    "signals": changed("signals.yaml", in_lines, {"fit {corpus}/ours --signals {x} --output out --method joint": 1}),
+    "config": changed("config.yaml", in_lines, {"fit {corpus}/ours --config {x} --output out": 1}),
     "schema": _schema,
 }

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import json
-import random
-import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fuzz_inputs import Kind, changed_arrays, damage_result, damaged, damaged_text
-from mcap.writer import Writer as McapWriter
-from rosbags.rosbag1 import Writer as Rosbag1Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from fuzz_inputs import FIT, Kind, changed, in_a_result, in_arrays, in_bytes
 from scipy.io import savemat
 
 import drive_id
@@ -21,8 +16,7 @@ from drive_id.types import Samples
 
 sys.path.append(str(Path(__file__).parents[1] / "test" / "support"))
 from column_files import WRITERS  # type: ignore[import-not-found]  # the writers of the tests
-
-Made = tuple[str, tuple[str, ...], str]
+from other_bags import SIGNALS, write_json, write_ros1  # type: ignore[import-not-found]
 
 _DEFAULTS = "defaults: {{{time} sample_period: 1e-4}}\n"
 _COLUMNS = """\
@@ -30,12 +24,6 @@ currents: {{fields: ["{p}i_a", "{p}i_b", "{p}i_c"]}}
 voltages: {{fields: ["{p}u_a", "{p}u_b", "{p}u_c"]}}
 resolver: {{angle: "{p}theta", speed: "{p}omega"}}
 reference: {{fields: ["{p}id_ref", "{p}iq_ref"]}}
-"""
-_ROWS = """\
-defaults: {topic: /log, stamp: log_time, sample_period: 1e-4}
-currents: {fields: ["i[0]", "i[1]", "i[2]"]}
-voltages: {fields: ["u[0]", "u[1]", "u[2]"]}
-resolver: {angle: angle, speed: speed}
 """
 _SLOW = """\
 defaults: {stamp: t, stamp_unit: s}
@@ -45,7 +33,7 @@ resolver: {speed: n, speed_unit: rpm, mechanical: true, pole_pairs: 4}
 """
 _TOPICS = ("log.bag", "log_json.mcap")
 LOGS = (*WRITERS, *_TOPICS)
-_IMPORTS = ("machine.npz", "map.csv", "syre.mat", "fdfq_idiq_n256.mat")
+_EPOCH = 1_700_000_000_000_000_000
 
 
 # -- good inputs -------------------------------------------------------------------------------------------------------
@@ -71,43 +59,14 @@ def make_logs(folder: Path, samples: Samples) -> None:
         time = "" if name == "log.mf4" else f'stamp: "{prefix}time_s", stamp_unit: s,'
         text = _DEFAULTS.format(time=time) + _COLUMNS.format(p=prefix)
         (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
-    _write_ros1(folder / "log.bag", samples)
-    _write_json(folder / "log_json.mcap", samples)
+    stamped = replace(samples, stamp=samples.stamp - samples.stamp[0] + _EPOCH)
+    write_ros1(folder / "log.bag", stamped)
+    write_json(folder / "log_json.mcap", stamped)
     for name in _TOPICS:
-        (folder / f"{name}.yaml").write_text(_ROWS, encoding="utf-8")
+        (folder / f"{name}.yaml").write_text(SIGNALS, encoding="utf-8")
     _write_slow(folder / "slow.csv")
     (folder / "slow.csv.yaml").write_text(_SLOW, encoding="utf-8")
     _write_maps(folder)
-
-
-def _write_ros1(path: Path, samples: Samples) -> None:
-    store = get_typestore(Stores.ROS1_NOETIC)
-    definition = "time stamp\nfloat64[3] i\nfloat64[3] u\nfloat64 angle\nfloat64 speed\n"
-    store.register(get_types_from_msg(definition, "bench_msgs/msg/Row"))
-    row, time = store.types["bench_msgs/msg/Row"], store.types["builtin_interfaces/msg/Time"]
-    with Rosbag1Writer(path) as writer:
-        connection = writer.add_connection("/log", row.__msgtype__, typestore=store)
-        for k, stamp in enumerate(_epoch(samples)):
-            message = row(
-                time(*divmod(stamp, 10**9)), samples.i_abc[k], samples.u_abc[k], samples.angle[k], samples.speed[k]
-            )
-            writer.write(connection, stamp, store.serialize_ros1(message, row.__msgtype__))
-
-
-def _write_json(path: Path, samples: Samples) -> None:
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start("")
-        channel = writer.register_channel("/log", "json", writer.register_schema("Row", "jsonschema", b"{}"))
-        for k, stamp in enumerate(_epoch(samples)):
-            row = {"i": samples.i_abc[k].tolist(), "u": samples.u_abc[k].tolist()}
-            row |= {"angle": samples.angle[k], "speed": samples.speed[k]}
-            writer.add_message(channel, stamp, json.dumps(row).encode(), stamp)
-        writer.finish()  # type: ignore[no-untyped-call]
-
-
-def _epoch(samples: Samples) -> list[int]:
-    return [1_700_000_000_000_000_000 + int(stamp - samples.stamp[0]) for stamp in samples.stamp]
 
 
 def _write_slow(path: Path) -> None:
@@ -144,89 +103,42 @@ def load_readers(corpus: Path) -> None:
 # -- kinds -------------------------------------------------------------------------------------------------------------
 
 
-def _damaged_file(source: Path, folder: Path, rng: random.Random) -> str:
-    """Write a damaged copy; texts are damaged line by line, too."""
-    if source.suffix == ".csv" and rng.random() < 0.5:
-        text, said = damaged_text(source.read_text(encoding="utf-8"), rng)
-        data = text.encode("utf-8", "surrogatepass")
-    else:
-        data, said = damaged(source.read_bytes(), rng)
-    (folder / source.name).write_bytes(data)
-    return said
-
-
-def _log(name: str) -> Kind:
-    def make(corpus: Path, folder: Path, rng: random.Random) -> Made:
-        said = _damaged_file(corpus / name, folder, rng)
-        signals = ("--signals", str(corpus / f"{name}.yaml"))
-        arguments, compare = rng.choices(
-            (
-                (("fit", name, *signals, "--output", "out", "--method", "joint"), "nocrc.mcap joint"),
-                (("convert", name, "out", *signals), ""),
-                (("check", name, *signals, *rng.choice(((), ("--json",)))), ""),
-                (("check", name, "--draft", "draft.yaml"), ""),
-                (("info", name), ""),
-            ),
-            (5, 2, 2, 1, 1),
-        )[0]
-        return said, arguments, compare
-
-    return make
-
-
-def _static(corpus: Path, folder: Path, rng: random.Random) -> Made:
-    said = _damaged_file(corpus / "slow.csv", folder, rng)
-    signals = ("--signals", str(corpus / "slow.csv.yaml"))
-    if rng.random() < 0.2:
-        return said, ("check", "slow.csv", *signals), ""
-    return said, ("fit", "slow.csv", *signals, "--method", "static", "--output", "out"), ""
-
-
-def _import(name: str) -> Kind:
-    def make(corpus: Path, folder: Path, rng: random.Random) -> Made:
-        if name.endswith(".npz") and rng.random() < 0.7:
-            data, said = changed_arrays(corpus / name, rng, signed=False)
-            (folder / name).write_bytes(data)
-        else:
-            said = _damaged_file(corpus / name, folder, rng)
-        known = () if name in ("machine.npz", "syre.mat") else ("--pole-pairs", "3", "--resistance", "0.45")
-        return said, ("import", name, "--output", "out", *known), ""
-
-    return make
-
-
-def _check(corpus: Path, folder: Path, rng: random.Random) -> Made:
-    shutil.copytree(corpus / "ours", folder / "ours")
-    file = rng.choice(sorted((folder / "ours").iterdir()))
-    data, said = damaged(file.read_bytes(), rng)
-    file.write_bytes(data)
-    return said, ("check", "ours", *rng.choice(((), ("--json",)))), ""
-
-
-def _from_result(corpus: Path, folder: Path, rng: random.Random) -> Made:
-    """Use a damaged result as a machine, and by the commands after a fit."""
-    shutil.copytree(corpus / "result", folder / "result")
-    said = damage_result(folder / "result", rng)
-    arguments: tuple[str, ...] = rng.choices(
-        (
-            ("simulate", "--machine", "result", "--output", "out", "--seconds", "0.05"),
-            ("export", "result", "--format", "csv", "--output", "out.csv"),
-            ("compare", "result", str(corpus / "result")),
-            ("analyze", "result", "--output", "out"),
-        ),
-        (4, 2, 2, 1),
-    )[0]
-    return said, arguments, ""
-
-
 def _named(name: str) -> str:
     return name.replace(".", "_")
 
 
+_LOG = {
+    FIT.replace("{x}", "{x} --signals {corpus}/{x}.yaml") + "joint": 5,
+    "convert {x} out --signals {corpus}/{x}.yaml": 2,
+    "check {x} --signals {corpus}/{x}.yaml": 1,
+    "check {x} --signals {corpus}/{x}.yaml --json": 1,
+    "check {x} --draft draft.yaml": 1,
+    "info {x}": 1,
+}
+_SLOW_LOG = {
+    "fit {x} --signals {corpus}/{x}.yaml --output out --method static": 4,
+    "check {x} --signals {corpus}/{x}.yaml": 1,
+}
+_RESULT = {
+    "simulate --machine {x} --output out --seconds 0.05": 4,
+    "export {x} --format csv --output out.csv": 2,
+    "compare {x} {corpus}/result": 2,
+    "analyze {x} --output out": 1,
+}
+_KNOWN = " --pole-pairs 3 --resistance 0.45"
+
 LOG_KINDS: dict[str, Kind] = {
-    **{_named(name): _log(name) for name in LOGS},
-    "static": _static,
-    **{f"import_{_named(name)}": _import(name) for name in _IMPORTS},
-    "check": _check,
-    "from_result": _from_result,
+    **{_named(name): changed(name, in_bytes, _LOG, "nocrc.mcap") for name in LOGS},
+    "static": changed("slow.csv", in_bytes, _SLOW_LOG),
+    **{
+        f"import_{_named(name)}": changed(name, damage, {f"import {{x}} --output out{known}": 1})
+        for name, damage, known in (
+            ("machine.npz", in_arrays, ""),
+            ("map.csv", in_bytes, _KNOWN),
+            ("syre.mat", in_bytes, ""),
+            ("fdfq_idiq_n256.mat", in_bytes, _KNOWN),
+        )
+    },
+    "check": changed("ours", in_bytes, {"check {x}": 1, "check {x} --json": 1}),
+    "from_result": changed("result", in_a_result, _RESULT),
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +12,58 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import gather, score
+from drive_id.core.validation.metrics import nrmse
+from drive_id.fitting.result import Identification
 from drive_id.types import FloatArray, GroundTruth
 
 LARGE = 0.5
 """Share of i_max above which currents are large: there a drop is a + r i + c / i, and r belongs to the resistance."""
+
+
+BAND = 1.96
+"""Standard errors that a normal error exceeds once in twenty times."""
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors at the map's points with data, and of R: relative, and in standard errors.
+
+    Parameters
+    ----------
+    psi_d, psi_q : float
+        NRMSE.
+    z : (N, 2) float
+    resistance, resistance_z : float
+    """
+
+    psi_d: float
+    psi_q: float
+    z: FloatArray
+    resistance: float
+    resistance_z: float
+
+    @property
+    def band(self) -> float:
+        """Share of errors within the 95 % intervals."""
+        return float(np.mean(np.abs(self.z) < BAND))
+
+
+def against(
+    found: IdentifiedDrive | Identification, flux: Callable[[FloatArray], FloatArray], i_max: float, resistance: float
+) -> Errors:
+    """Compare with true fluxes (N, 2), Wb, at currents (N, 2), A, up to ``i_max``, and a true resistance, ohm."""
+    flux_map, grid = found.flux_map, found.flux_map.grid()
+    chosen = flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= i_max)
+    true = flux(grid[chosen])
+    psi, sigma = (
+        np.stack([getattr(flux_map, f"{kind}_{axis}")[chosen] for axis in "dq"], axis=-1) for kind in ("psi", "sigma")
+    )
+    known = np.isfinite(true).all(axis=1)
+    error = found.resistance - resistance
+    return Errors(
+        *nrmse(psi[known], true[known]), ((psi - true) / sigma)[known], error / resistance,
+        error / found.sigma_resistance,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

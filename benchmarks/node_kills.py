@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drive_id_msgs.srv import Command, Identify, StartExperiment, StartRecording, StopRecording
-from node_processes import TOPICS, Graph, NodeProcess
+from drive_id_msgs.srv import Command, Identify, StartRecording, StopRecording
+from node_processes import PUBLISHER, TOPICS, Graph, NodeProcess
 from rosbags.rosbag2 import Reader
 
 from drive_id.errors import DriveIdError, EmptyTopicError
@@ -21,7 +21,7 @@ from drive_id.files.read.several import read_recording
 from drive_id.files.write.recover import recover_bag
 from drive_id.nodes.support.qos import STREAM
 
-NODES = ("bench_simulator", "trajectory_publisher", "recorder", "identification")
+NODES = ("bench_simulator", PUBLISHER, "recorder", "identification")
 FLUSH = 1.0
 """Default of ``flush_period``, s."""
 ALLOWANCE = 1.0
@@ -29,6 +29,8 @@ ALLOWANCE = 1.0
 LEAD = 0.3
 """Default of ``lead_time``, s."""
 I_MAX = 100.0
+_START = 10.0
+"""Longest wait for the trajectory to start, s."""
 _IN_FLIGHT = 5
 """Most messages at the end of a killed node's run that one listener may have got and another not."""
 _REST = 0.02 * I_MAX
@@ -58,7 +60,6 @@ class Killed:
     """Ends of a killed node's messages that the recorder did not get, ..."""
     most_cut: int = 0
     """... and the most messages of one of them."""
-    findings: list[str] = field(default_factory=list)
 
 
 class Rounds:
@@ -66,6 +67,7 @@ class Rounds:
 
     def __init__(self, graph: Graph, rng: random.Random) -> None:
         self.graph, self.rng, self.result = graph, rng, Killed()
+        self.findings = graph.replies.findings
         self._data = graph.folder / "data"
         self._nodes: dict[str, NodeProcess] = {}
         self._received: dict[str, list[tuple[float, bytes]]] = {name: [] for name in TOPICS}
@@ -88,14 +90,14 @@ class Rounds:
 
     def _check_zero(self, data: bytes) -> None:
         if max(float(np.abs(values).max(initial=0.0)) for values in decode_block(data, 2).values) > 0.0:
-            self.result.findings.append("a nonzero reference although no experiment was started")
+            self.findings.append("a nonzero reference although no experiment was started")
             self._quiet_from = 0.0
 
     # -- actions -------------------------------------------------------------------------------------------------------
 
     def round(self) -> None:
         """Start an experiment, disturb nodes, restart those that are gone, and check."""
-        before, said = len(self.result.findings), list[str]()
+        before, said = len(self.findings), list[str]()
         self._begin()
         for _ in range(self.rng.randint(1, 4)):
             self.graph.spin(self.rng.uniform(0.1, 1.5))
@@ -112,8 +114,8 @@ class Rounds:
             self._check_recording(recording)
         self._ended.clear()
         self._check_rest()
-        self.result.findings[before:] = [
-            f"round {self.result.rounds} ({', '.join(said)}): {finding}" for finding in self.result.findings[before:]
+        self.findings[before:] = [
+            f"round {self.result.rounds} ({', '.join(said)}): {finding}" for finding in self.findings[before:]
         ]
         self.result.rounds += 1
         for messages in self._received.values():
@@ -123,16 +125,10 @@ class Rounds:
     def _begin(self) -> None:
         """Start recording and trajectory."""
         reply = self.graph.call(StartRecording, "/recorder/start", name="")
-        if self._expect("recorder/start", reply):
+        if self.graph.succeeded("recorder/start", reply):
             self._recording = Recorded(Path(reply.uri), time.monotonic())
         self._quiet_from = 0.0
-        for _ in range(20):  # it refuses until the drive's messages have arrived, and after a trip
-            self.graph.call(Command, "/trajectory_publisher/clear_fault")
-            reply = self.graph.call(StartExperiment, "/trajectory_publisher/start_experiment")
-            if reply is None or reply.success:
-                break
-            self.graph.spin(0.5)
-        self._expect("trajectory_publisher/start_experiment", reply)
+        self.graph.start_trajectory(_START)
 
     def _act(self, action: str, name: str) -> None:
         self.result.actions[action] += 1
@@ -151,8 +147,8 @@ class Rounds:
         trouble = self._nodes.pop(name).end(number)
         self.graph.forget(name)
         if trouble:
-            self.result.findings.append(trouble)
-        if name == "trajectory_publisher":
+            self.findings.append(trouble)
+        if name == PUBLISHER:
             self._quiet_from = time.monotonic() + LEAD
         if name == "recorder":
             self._end_of_recording(moment, stopped=number != signal.SIGKILL)
@@ -161,7 +157,7 @@ class Rounds:
         data = {"data_directory": self._data}
         settings: dict[str, dict[str, Any]] = {
             "bench_simulator": {"current_noise": 1e-3},
-            "trajectory_publisher": {"i_max": I_MAX, "duration": 30.0},
+            PUBLISHER: {"i_max": I_MAX, "duration": 30.0},
             "recorder": data,
             "identification": data | {"output_directory": self._data / "results", "i_max": I_MAX, "method": "joint"},
         }
@@ -169,27 +165,20 @@ class Rounds:
 
     # -- checks --------------------------------------------------------------------------------------------------------
 
-    def _expect(self, what: str, reply: Any) -> bool:
-        """Return whether a request succeeded, and note it if not."""
-        if reply is None or not reply.success:
-            self.result.findings.append(f"{what}: {'no answer' if reply is None else reply.message}")
-        return reply is not None and reply.success
-
     def _check_services(self) -> None:
         """Check that every node answers, whatever happened to it."""
-        stop = "/trajectory_publisher/stop_experiment"
-        self._expect("trajectory_publisher/stop_experiment", self.graph.call(Command, stop))
+        stop = f"{PUBLISHER}/stop_experiment"
+        self.graph.succeeded(stop, self.graph.call(Command, f"/{stop}"))
         self._quiet_from = time.monotonic() + 2 * LEAD
         reply = self.graph.call(StopRecording, "/recorder/stop")
         if self._recording is not None:
-            self._expect("recorder/stop", reply)
+            self.graph.succeeded("recorder/stop", reply)
             self._end_of_recording(time.monotonic(), stopped=True)
         elif reply is None:
-            self.result.findings.append("recorder/stop: no answer")
+            self.findings.append("recorder/stop: no answer")
         reply = self.graph.call(Identify, "/identification/identify", bags=[], method="joint")
-        if reply is None or reply.code == "internal":
-            self._expect("identification/identify", reply)
-        self.result.findings += self.graph.troubles()
+        self.graph.replies.note("identification/identify", reply, success=None)
+        self.findings += self.graph.troubles()
 
     def _end_of_recording(self, moment: float, *, stopped: bool) -> None:
         if self._recording is not None:
@@ -203,7 +192,7 @@ class Rounds:
         quiet = self.graph.wait(lambda: self._amplitude() < _REST, 10.0)
         self.graph.spin(0.5)
         if not quiet or self._amplitude() > _REST:
-            self.result.findings.append(f"the drive is not at rest: {self._amplitude():.1f} A")
+            self.findings.append(f"the drive is not at rest: {self._amplitude():.1f} A")
 
     def _amplitude(self) -> float:
         """Return the largest current of the last message, A."""
@@ -221,14 +210,14 @@ class Rounds:
         except EmptyTopicError:
             pass  # the drive had been killed before
         except DriveIdError as error:
-            self.result.findings.append(f"{title} cannot be read: {error}")
+            self.findings.append(f"{title} cannot be read: {error}")
         path = recording.path
         if not recording.stopped:
             try:
                 path = recover_bag(path).output
             except EmptyTopicError as error:
                 if recording.end - recording.begin > FLUSH + ALLOWANCE:
-                    self.result.findings.append(f"{title}: {error}")
+                    self.findings.append(f"{title}: {error}")
                 return
         with Reader(path) as reader:
             found = {(each.topic, bytes(data)) for each, _, data in reader.messages()}
@@ -248,11 +237,11 @@ class Rounds:
                 lost = max(lost, recording.end - min(missing, default=recording.end))
         self.result.longest = max(self.result.longest, lost)
         if lost > (0.0 if recording.stopped else FLUSH) + ALLOWANCE:
-            self.result.findings.append(f"{title}: messages received up to {lost:.2f} s before its end are missing")
+            self.findings.append(f"{title}: messages received up to {lost:.2f} s before its end are missing")
 
     def _was_killed(self, topic: str, run: list[tuple[float, bytes]]) -> bool:
         """Return whether the node whose messages these are was killed at their end."""
-        node = "trajectory_publisher" if topic == "/current_reference" else "bench_simulator"
+        node = PUBLISHER if topic == "/current_reference" else "bench_simulator"
         return bool(run) and any(name == node and abs(moment - run[-1][0]) < ALLOWANCE for name, moment in self._killed)
 
 
@@ -280,10 +269,10 @@ def _runs(heard: list[tuple[float, bytes]]) -> list[list[tuple[float, bytes]]]:
     return runs
 
 
-def kills(rounds: int, seed: int, folder: Path) -> Killed:
-    """Run a number of rounds, which the seed determines; ``folder`` is scratch space."""
+def kills(rounds: int, seed: int, folder: Path) -> tuple[Killed, list[str]]:
+    """Run a number of rounds, which the seed determines, and return findings as well; ``folder`` is scratch space."""
     with Graph(folder) as graph:
         running = Rounds(graph, random.Random(seed))
         for _ in range(rounds):
             running.round()
-        return running.result
+        return running.result, running.findings

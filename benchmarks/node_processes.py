@@ -8,7 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any
@@ -20,6 +22,7 @@ os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
 
 from diagnostic_msgs.msg import DiagnosticArray
 from drive_id_msgs import msg
+from drive_id_msgs.srv import Command, StartExperiment
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
@@ -39,6 +42,7 @@ TOPICS = {
     "/current_reference": msg.CurrentReference,
 }
 """Topics of the drive with their types."""
+PUBLISHER = "trajectory_publisher"
 _DISCOVERY = 2.0
 """Time in which nodes of the same domain are discovered, s."""
 
@@ -108,6 +112,31 @@ class NodeProcess:
         return f"{self.log.name}: {text[text.index('Traceback') :][:600]}" if "Traceback" in text else ""
 
 
+@dataclass
+class Replies:
+    """Replies to requests: how often each code came, the longest wait, s, and what is wrong with them."""
+
+    codes: Counter[str] = field(default_factory=Counter)
+    slowest: float = 0.0
+    findings: list[str] = field(default_factory=list)
+
+    @property
+    def told(self) -> str:
+        """The codes, and how often each came."""
+        return ", ".join(f"{count} `{code}`" for code, count in self.codes.most_common())
+
+    def note(self, what: str, reply: Any, took: float = 0.0, *, success: bool | None = True) -> None:
+        """Judge one reply; None: there was none. It must be a sentence, and as successful as is said here."""
+        self.codes["no answer" if reply is None else reply.code] += 1
+        self.slowest = max(self.slowest, took)
+        if reply is None:
+            self.findings.append(f"{what}: no answer")
+        elif success not in (None, reply.success):
+            self.findings.append(f"{what}: {reply.code}, {reply.message}")
+        elif not reply.message.endswith(".") or "Traceback" in reply.message or reply.code == "internal":
+            self.findings.append(f"{what}: {reply.code}, not a sentence: {reply.message[:200]!r}")
+
+
 class Graph:
     """A client in a ROS context of its own, and the nodes that it has started.
 
@@ -122,6 +151,7 @@ class Graph:
     def __init__(self, folder: Path, *, alone: bool = True) -> None:
         self.folder = folder
         self.started: list[NodeProcess] = []
+        self.replies = Replies()
         os.environ["ROS_LOG_DIR"] = str(folder / "ros_log")
         with fast_dds():
             self._context = Context()
@@ -178,6 +208,25 @@ class Graph:
         """Call a service and return the response; None if there is none."""
         future = self.send(kind, name, **fields)
         return future.result() if future is not None and self.wait(future.done) else None
+
+    def succeeded(self, what: str, reply: Any) -> bool:
+        """Return whether a command succeeded, and note it if not."""
+        if reply is None or not reply.success:
+            self.replies.findings.append(f"{what}: {'no answer' if reply is None else reply.message}")
+        return reply is not None and bool(reply.success)
+
+    def start_trajectory(self, patience: float = PATIENCE) -> None:
+        """Start it as soon as the drive allows it: when its messages have arrived, and a trip is cleared."""
+        said: list[Any] = [None]
+
+        def started() -> bool:
+            self.call(Command, f"/{PUBLISHER}/clear_fault")
+            said[0] = self.call(StartExperiment, f"/{PUBLISHER}/start_experiment")
+            self.spin(0.0 if said[0] is None or said[0].success else 0.5)
+            return said[0] is None or bool(said[0].success)
+
+        self.wait(started, patience)
+        self.succeeded(f"{PUBLISHER}/start_experiment", said[0])
 
     def _wait_until_known(self, node: str) -> None:
         """Wait until a node knows the client that was just made: a reply to one that it does not know is lost.

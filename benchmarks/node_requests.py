@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import random
 import time
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from drive_id_msgs.action import Identify as IdentifyAction
 from drive_id_msgs.srv import Identify
-from node_processes import TOPICS, Graph, slope
+from node_processes import TOPICS, Graph, Replies, slope
 from rclpy.action import ActionClient
 from recordings import experiment
 
@@ -28,41 +27,27 @@ _VALID = {"bag, joint": 5, "bag, psm": 3, "live, joint": 5, "action": 3, "cancel
 _INVALID = ("no such bag", "outside", "not a bag", "damaged", "method", "long name", "many bags")
 _WEIGHTS = {**_VALID, **dict.fromkeys(_INVALID, 1)}
 """Kinds of requests, and how often each comes."""
+_OPEN = ("cancel", "two at once", "many bags")
+_SUCCESS = {kind: None if kind in _OPEN else kind in _VALID for kind in _WEIGHTS}
+"""Whether a request of a kind must succeed, or must not; None: both is right."""
 
 
 @dataclass
-class Answers:
-    """Results of the requests."""
+class Requests:
+    """The replies to requests, and the memory of the node, MB, after some numbers of them."""
 
+    replies: Replies
     sent: int = 0
-    answered: int = 0
-    codes: Counter[str] = field(default_factory=Counter)
-    findings: list[str] = field(default_factory=list)
     memory: list[float] = field(default_factory=list)
     numbers: list[float] = field(default_factory=list)
-    slowest: float = 0.0
 
     @property
     def growth(self) -> float:
         """Growth of the memory over the later two thirds, MB per 1000 requests."""
         return 1000 * slope(self.numbers, self.memory)
 
-    def note(self, kind: str, reply: Any) -> None:
-        """Judge one reply; None: there was none."""
-        if reply is None:
-            self.findings.append(f"{kind}: no answer")
-            return
-        self.answered += 1
-        self.codes[reply.code] += 1
-        if kind in _VALID and kind not in ("cancel", "two at once") and not reply.success:
-            self.findings.append(f"{kind}: {reply.code}, {reply.message}")
-        if kind in _INVALID and kind != "many bags" and reply.success:
-            self.findings.append(f"{kind}: succeeded")
-        if not reply.message.endswith(".") or "Traceback" in reply.message or reply.code == "internal":
-            self.findings.append(f"{kind}: {reply.code}, not a sentence: {reply.message[:200]!r}")
 
-
-def many_requests(count: int, seed: int, folder: Path) -> Answers:
+def many_requests(count: int, seed: int, folder: Path) -> Requests:
     """Send so many requests, which the seed determines; ``folder`` is scratch space."""
     data = folder / "data"
     data.mkdir(parents=True)
@@ -70,26 +55,25 @@ def many_requests(count: int, seed: int, folder: Path) -> Answers:
     file = next((data / "good").glob("*.mcap")).read_bytes()
     (data / "damaged.mcap").write_bytes(file[:20_000] + bytes(3000) + file[23_000:])
     (data / "text.txt").write_text("This is not a bag.\n", encoding="utf-8")
-    rng, answers = random.Random(seed), Answers()
+    rng = random.Random(seed)
     settings = {"data_directory": data, "output_directory": folder / "results", "results_count": 20, "i_max": 180.0}
     with Graph(folder) as graph:
+        requests = Requests(graph.replies)
         node = graph.start("identification", settings)
         _play(graph, data / "good")
         action = ActionClient(graph.node, IdentifyAction, "/identification/identify")
         graph.wait(action.server_is_ready)
-        while answers.sent < count and node.alive:
+        while requests.sent < count and node.alive:
             kind = rng.choices(list(_WEIGHTS), list(_WEIGHTS.values()))[0]
-            begin = time.monotonic()
-            _one(graph, action, kind, rng, answers)
-            answers.slowest = max(answers.slowest, time.monotonic() - begin)
-            if answers.sent // _EVERY > len(answers.numbers) and node.alive:
-                answers.numbers.append(answers.sent)
-                answers.memory.append(node.memory)
+            requests.sent += _one(graph, action, kind, rng)
+            if requests.sent // _EVERY > len(requests.numbers) and node.alive:
+                requests.numbers.append(requests.sent)
+                requests.memory.append(node.memory)
         action.destroy()
         if not node.alive:
-            answers.findings.append(f"the node has ended: {node.text[-600:]}")
-        answers.findings += graph.troubles()
-    return answers
+            graph.replies.findings.append(f"the node has ended: {node.text[-600:]}")
+        graph.replies.findings += graph.troubles()
+    return requests
 
 
 def _play(graph: Graph, bag: Path) -> None:
@@ -119,21 +103,22 @@ def _request(kind: str, rng: random.Random) -> dict[str, Any]:
     return {"bags": bags, "method": {"bag, psm": "psm", "method": odd}.get(kind, "joint")}
 
 
-def _one(graph: Graph, action: Any, kind: str, rng: random.Random, answers: Answers) -> None:
-    """Send one request, or two at once, or a goal, which may be cancelled, and judge the replies."""
+def _one(graph: Graph, action: Any, kind: str, rng: random.Random) -> int:
+    """Send a request, or two at once, or a goal, which may be cancelled; judge the replies, and return their number."""
+    begin = time.monotonic()
     if kind in ("action", "cancel"):
-        answers.sent += 1
         sent = action.send_goal_async(IdentifyAction.Goal(bags=["good"], method="joint"), lambda _: None)
         result = sent.result().get_result_async() if graph.wait(sent.done) else None
         if result is not None and kind == "cancel":
             graph.spin(rng.random() * 0.6)
             sent.result().cancel_goal_async()
-        answers.note(kind, result.result().result if result is not None and graph.wait(result.done) else None)
-        return
+        reply = result.result().result if result is not None and graph.wait(result.done) else None
+        graph.replies.note(kind, reply, time.monotonic() - begin, success=_SUCCESS[kind])
+        return 1
     single = [name for name in _WEIGHTS if name not in ("action", "cancel", "two at once")]
     names = rng.choices(single, k=2) if kind == "two at once" else [kind]
     futures = [graph.send(Identify, "/identification/identify", **_request(name, rng)) for name in names]
     for name, future in zip(names, futures, strict=True):
-        answers.sent += 1
         reply = future.result() if future is not None and graph.wait(future.done) else None
-        answers.note(kind if len(names) > 1 else name, reply)
+        graph.replies.note(name, reply, time.monotonic() - begin, success=_SUCCESS[name if len(names) == 1 else kind])
+    return len(names)

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import os
-import re
 import signal
-import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 from measuring import Cost
+from node_processes import NodeProcess
 from reporting import Row, Section, seconds, size
 
 CONFIG = Path(__file__).parent.parent / "config"
 NODES = {"trajectory_publisher": 90, "recorder": 90, "identification": 250}
 """With their goals, MB."""
 READY = 3.0
-_REST = 2.0
+_REST, _LOOK = 2.0, 0.005
+"""Time after which the memory is looked at, and between two looks at the log, s."""
 _BARE = """
 import rclpy
 rclpy.init()
@@ -63,22 +64,17 @@ def section(repeats: int) -> Section:
 
 def start(command: list[str]) -> Cost:
     """Start a node, wait until it is ready, and stop it."""
-    begun = time.perf_counter()
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-        assert process.stdout is not None
-        output: list[str] = []
-        for line in process.stdout:
-            output.append(line)
-            if "Ready" in line:
-                break
-        else:
-            raise SystemExit(f"{' '.join(command)} ended:\n{''.join(output)}")
+    with tempfile.TemporaryDirectory() as folder:
+        begun = time.perf_counter()
+        process = NodeProcess(command, Path(folder) / "log")
+        while "Ready" not in process.text:
+            if not process.alive:
+                raise SystemExit(f"{' '.join(command)} ended:\n{process.text}")
+            time.sleep(_LOOK)
         elapsed = time.perf_counter() - begun
-        fields = Path(f"/proc/{process.pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+        fields = Path(f"/proc/{process.popen.pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
         cpu = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
         time.sleep(_REST)
-        status = Path(f"/proc/{process.pid}/status").read_text(encoding="utf-8")
-        memory = 1024 * int(re.findall(r"VmRSS:\s+(\d+) kB", status)[0])
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=30)
+        memory = round(1e6 * process.memory)
+        process.end(signal.SIGINT)
     return Cost(elapsed, cpu, memory)

@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from multiprocessing import connection
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: befor
 
 import numpy as np
 import population_report
+from judging import BAND, against
 from population_drives import Drive, drive, on_free_shaft, recordings, true_flux
 
 import drive_id
@@ -36,7 +38,6 @@ from drive_id.types import Samples
 
 Row = dict[str, Any]
 
-BAND = 1.96
 TIMEOUT = 300.0
 """Seconds that the simulation and all fits of one drive may take."""
 MOST_REACH, _USUAL = 1.2, 0.999
@@ -104,18 +105,10 @@ def fitted(one: Drive, samples: Sequence[Samples], method: str) -> Row:
         return {"refused": str(refusal), "seconds": time.monotonic() - start, "cpu": time.process_time() - cpu}
     row: Row = {"seconds": time.monotonic() - start, "cpu": time.process_time() - cpu}
     row["warnings"] = [warning.tree() for warning in found.warnings]
-    flux_map = found.flux_map
-    grid = flux_map.grid()
-    chosen = flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= one.i_max)
-    true = true_flux(one, grid[chosen])
-    error = np.stack([flux_map.psi_d[chosen], flux_map.psi_q[chosen]], axis=-1) - true
-    sigma = np.stack([flux_map.sigma_d[chosen], flux_map.sigma_q[chosen]], axis=-1)
-    relative = 100 * np.sqrt(np.mean(error**2, axis=0)) / np.abs(true).max(axis=0)
-    row |= {"psi_d": float(relative[0]), "psi_q": float(relative[1]), "points": int(chosen.sum())}
-    row["flux_z"] = float(np.sqrt(np.mean((error / sigma) ** 2, axis=0)).max())
-    row["band"] = float(np.mean(np.abs(error / sigma) < BAND))
-    wrong = found.resistance - one.resistance()
-    row |= {"R": 100 * wrong / one.resistance(), "R_z": wrong / found.sigma_resistance}
+    errors = against(found, partial(true_flux, one), one.i_max, one.resistance())
+    row |= {"psi_d": 100 * errors.psi_d, "psi_q": 100 * errors.psi_q, "points": len(errors.z)}
+    row["flux_z"] = float(np.sqrt(np.mean(errors.z**2, axis=0)).max())
+    row |= {"band": errors.band, "R": 100 * errors.resistance, "R_z": errors.resistance_z}
     if one.swing is not None and found.mechanics is not None:
         row |= _mechanics(one.settings[0], found.mechanics)
     row["corrected"] = {

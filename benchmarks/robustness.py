@@ -14,11 +14,12 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from judging import normalized_curve
+from judging import against, normalized_curve
 from population_drives import cross_talk
 from rich.console import Console
 
@@ -29,17 +30,16 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.core.result.identify import gather, score
+from drive_id.core.result.identify import gather
 from drive_id.core.validation.metrics import true_flux
 from drive_id.errors import DriveIdError
 from drive_id.fitting.simulated import load_machine, run_experiment
-from drive_id.types import GroundTruth, MachineMap, Samples
+from drive_id.types import MachineMap, Samples
 
 SECONDS = 10.0
 NOISE = 1e-3
 ONE, TWO = (500.0,), (500.0, -900.0)
 GOOD = SimulationSettings(current_noise=NOISE)
-BAND = 1.96
 WRONG_FLUX, WRONG_RESISTANCE, BEYOND = 3e-3, 1e-2, 3.0
 """Errors of the flux, and of R with its distance in standard errors, that need a warning."""
 _SENSORS = ("resolver_offset", "current_offset")
@@ -214,45 +214,25 @@ def cells(effect: Effect, name: str, speeds: tuple[float, ...]) -> list[str]:
     except DriveIdError as error:
         return ["–", "–", "–", f"refused: {_shortened(str(error))}"]
     truth = simulations[0].truth
-    flux = score(found, truth)
-    resistance, z = _resistance(found, truth)
+    start = float(truth.details.get("resistance_start", truth.resistance))
+    resistance = start + normalized_curve(truth, found.inverter_current)[0]
+    errors = against(found, partial(true_flux, truth), truth.i_max, resistance)
+    flux = errors.psi_d, errors.psi_q
     told = ", ".join(_found(found)) or "–"
     warnings = [_shortened(warning) for warning in found.report.warnings]
     if warnings:
         more = f" (+{len(warnings) - 1})" if len(warnings) > 1 else ""
         told = f"{told}; warns: {warnings[0]}{more}"
-    wrong = max(flux) > WRONG_FLUX or (abs(resistance) > WRONG_RESISTANCE and abs(z) > BEYOND)
+    wrong = max(flux) > WRONG_FLUX
+    wrong |= abs(errors.resistance) > WRONG_RESISTANCE and abs(errors.resistance_z) > BEYOND
     if wrong and not warnings:
         told = f"{told}; **no warning**"
     return [
         " / ".join(f"{100 * value:.3f}" if value < 0.1 else f"{100 * value:.0f}" for value in flux),
-        f"{100 * resistance:+.1f} ({z:+.1f})".replace("-", "−"),
-        f"{100 * covered(found, truth):.0f} %",
+        f"{100 * errors.resistance:+.1f} ({errors.resistance_z:+.1f})".replace("-", "−"),
+        f"{100 * errors.band:.0f} %",
         told,
     ]
-
-
-def _resistance(found: IdentifiedDrive, truth: GroundTruth) -> tuple[float, float]:
-    """Return the error of R relative to the true one at the start, and in standard errors."""
-    true = (
-        float(truth.details.get("resistance_start", truth.resistance))
-        + normalized_curve(truth, found.inverter_current)[0]
-    )
-    error = found.resistance - true
-    return error / true, error / found.sigma_resistance
-
-
-def covered(found: IdentifiedDrive, truth: GroundTruth) -> float:
-    """Return the share of map points with data whose 95 % intervals hold the truth."""
-    flux_map = found.flux_map
-    grid = flux_map.grid()
-    chosen = flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= truth.i_max)
-    true = true_flux(truth, grid[chosen])
-    z = [
-        (flux_map.psi_d[chosen] - true[:, 0]) / flux_map.sigma_d[chosen],
-        (flux_map.psi_q[chosen] - true[:, 1]) / flux_map.sigma_q[chosen],
-    ]
-    return float(np.mean(np.abs(z) < BAND))
 
 
 def _found(found: IdentifiedDrive) -> Iterator[str]:

@@ -13,10 +13,11 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-from judging import normalized_curve
+from judging import BAND, against, normalized_curve
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
@@ -29,7 +30,6 @@ from drive_id.core.validation.metrics import true_flux
 from drive_id.fitting.simulated import run_experiment
 from drive_id.types import Samples
 
-BAND = 1.96
 WITHIN = 0.97
 DRIVES = {
     "ipm, 500 rpm, dead time": ("ipm", SimulationSettings(current_noise=2e-3)),
@@ -74,19 +74,13 @@ def scores(machine: str, settings: SimulationSettings, seed: int, every: int = 1
     samples = with_slow_angle(simulation.samples, every) if every > 1 else simulation.samples
     evidence = gather([samples], FitSettings(method="full", harmonic_orders=(6, 12), maps="reciprocal", grid_points=33))
     found, truth = conclude(evidence, ()), simulation.truth
-    flux_map = found.flux_map
-    grid = flux_map.grid()
-    chosen = flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= WITHIN * truth.i_max)
-    true = true_flux(truth, grid[chosen])
-    d = (flux_map.psi_d[chosen] - true[:, 0]) / flux_map.sigma_d[chosen]
-    q = (flux_map.psi_q[chosen] - true[:, 1]) / flux_map.sigma_q[chosen]
     current = found.inverter_current
     slope, drop = normalized_curve(truth, current)
-    resistance = np.array([(found.resistance - truth.resistance - slope) / found.sigma_resistance])
+    errors = against(found, partial(true_flux, truth), WITHIN * truth.i_max, truth.resistance + slope)
     large = np.abs(current) > 0.1 * truth.i_max
     assert found.sigma_inverter_voltage is not None  # method full gives one
     curve = (found.inverter_voltage - drop)[large] / found.sigma_inverter_voltage[large]
-    return d, q, resistance, curve
+    return *errors.z.T, np.array([errors.resistance_z]), curve
 
 
 def _share(found: list[tuple[np.ndarray, ...]], quantity: int) -> float:

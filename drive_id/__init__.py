@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from drive_id.core.result.identification import FluxMap
     from drive_id.core.steady.operating_data import OperatingData
     from drive_id.errors import DriveIdError
-    from drive_id.exchange.comparison import Comparison, compare
     from drive_id.exchange.exports.exporting import export_map as export
     from drive_id.exchange.imports.importing import import_map
     from drive_id.fitting.fit import fit
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
     from drive_id.fitting.simulated import simulate
     from drive_id.fitting.sources import read_bag
     from drive_id.inspection.inspect import Inspection, check
+    from drive_id.result.comparison import Comparison, compare
     from drive_id.result.tables import samples_frame
     from drive_id.types import MachineMap, Samples, on_bar
 
@@ -48,7 +48,7 @@ def __getattr__(name: str) -> object:  # noqa: C901, PLR0912  # one branch for e
     if name in ("Analysis", "AnalysisSettings", "MachineModel", "analyze"):
         from drive_id.analysis import analyze as home
     elif name in ("Comparison", "compare"):
-        from drive_id.exchange import comparison as home
+        from drive_id.result import comparison as home
     elif name == "DriveIdError":
         from drive_id import errors as home
     elif name == "FitSettings":

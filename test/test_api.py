@@ -380,7 +380,6 @@ def test_what_cannot_be_simulated_is_said(result):
     for arguments, said in (
         ({"machine": "apm"}, "There is no machine 'apm'"),
         ({"inverter": "ideal"}, "inverter is 'ideal'"),
-        ({"seconds": 0.0}, "choose a duration"),
         ({"machine": replace(result, provenance=replace(result.provenance, pole_pairs=None))}, "give pole_pairs"),
     ):
         with pytest.raises(drive_id.DriveIdError, match=said):

@@ -7,12 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorder_blocks import TOPICS, feed
 from ros_bench import require_ros
 
 from drive_id.files.messages.block_codec import encode_block
-from drive_id.live.recording.recording_session import RecordingSession
-from drive_id.live.recording.recording_settings import RecordingSettings
 
 BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 
@@ -66,22 +63,28 @@ def test_memory_and_replies_of_a_live_identification_are_judged():
     from types import SimpleNamespace as Reply
 
     import live_watch
+    from node_processes import Replies
 
-    watched = live_watch.Watched()
+    watched = live_watch.Watched(Replies())
     for number in range(31):  # every two minutes
         held = {"recorder": 80.0 + number, "identification": 300.0 if number < 4 else 500.0}
         watched.look(120.0 * number, held, {"recorder": 80.0 + number, "identification": 620.0})
     assert watched.row("identification") == ("300", "500", "620", "+0")
     assert watched.row("recorder") == ("80", "95", "110", "+30")
-    for done, reply in (
-        (True, Reply(success=True, code="ok", message="")),
-        (True, Reply(success=False, code="coverage", message="Too small.")),
-        (False, None),
+    for reply in (
+        Reply(success=True, code="ok", message="Done."),
+        Reply(success=False, code="coverage", message="Too small."),
+        Reply(success=True, code="ok", message="Traceback (most recent call last)"),
+        None,
     ):
-        live_watch._note(watched, Reply(done=lambda: done, result=lambda: reply), 3.0)  # noqa: B023
-    assert watched.codes == {"ok": 1, "coverage": 1, "no answer": 1}
-    assert watched.findings == ["identify: Too small.", "identify: no answer"]
-    assert watched.slowest == 3.0
+        watched.replies.note("identify", reply, 3.0)
+    assert watched.replies.codes == {"ok": 2, "coverage": 1, "no answer": 1}
+    assert [said.split(": ", 1)[1].split(",")[0] for said in watched.replies.findings] == [
+        "coverage",
+        "ok",
+        "no answer",
+    ]
+    assert watched.replies.slowest == 3.0
 
 
 def test_the_most_memory_ever_held_is_not_forgotten():
@@ -95,21 +98,6 @@ def test_the_most_memory_ever_held_is_not_forgotten():
     held[::4096] = b"x" * len(held[::4096])
     del held
     assert highest(os.getpid()) > before + 50.0
-
-
-def test_gaps_between_files_are_counted_and_files_removed(tmp_path):
-    require_ros()
-    import soak
-
-    session = RecordingSession(tmp_path / "bag", TOPICS, RecordingSettings(max_file_duration=0.05))
-    feed(session, 20, lose={(12, "/resolver")})
-    session.stop()
-    files = soak.Files(tmp_path / "bag")
-    files.read()
-    assert len(list((tmp_path / "bag").glob("*.mcap"))) == 1
-    files.read(all_of_them=True)
-    assert files.samples == (4 * 20 - 1) * 100
-    assert files.gaps == ["/resolver: 1300 follows 1200"]
 
 
 def test_what_was_heard_is_divided_where_its_node_was_started_again():

@@ -94,7 +94,6 @@ MAKE = {
     "endure ARGS='--only kills --rounds 30 --seed 7'": "--rounds 1",
     "endure ARGS='--only live --minutes 62'": "--minutes 0.05 --method joint",
     "endure ARGS='--only requests --requests 1000 --seed 21'": "--requests 3",
-    "endure ARGS='--only soak --method joint --hours 8 --minutes 15'": "--hours 0.01 --minutes 0.1",
 }
 """What ``make`` is called with on the pages and in its help, and further options that shorten it.
 
@@ -106,10 +105,9 @@ MAKE_ELSEWHERE = {
     "DISTRO=kilted setup": "by .ci/run, for its tests with Kilted",
     "lint": "by .ci/run", "package": "by .ci/run", "docs": "by .ci/run", "fuzz ARGS=--bombs": "by .ci/run",
     "check": "lint and quick tests: both by .ci/run", "test-rest": "by .ci/run",
-    "lint test-all docs demo": "each alone", "coverage mutation": "each alone",
+    "lint test-all docs demo": "each alone",
     "ament": "needs the network, for linters of its own",
     "colcon": "runs all tests once more",
-    "mutation": "runs tests a hundred times",
     "clean": "would remove the environment that runs this",
 }  # fmt: skip
 _IN_FLIGHT = "at most five messages of a killed node may be under way, which holds at the pace of an idle machine"

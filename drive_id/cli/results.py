@@ -113,11 +113,11 @@ def compare_results(
     quiet: options.QuietFlag = False,
 ) -> None:
     """Compare two results where both have data: fluxes, resistance, inverter curve, torque."""
-    from drive_id.exchange.comparison import compare
     from drive_id.files.results.folder import check_absent, replace_file
     from drive_id.fitting.result import load
     from drive_id.pictures.picture import rendered
     from drive_id.reporting.difference import difference_table, draw_difference
+    from drive_id.result.comparison import compare
 
     if output is not None and not force:
         check_absent(output)

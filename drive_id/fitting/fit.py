@@ -31,7 +31,7 @@ from drive_id.messages import Message
 from drive_id.origins import ORIGINS, STATIC
 from drive_id.types import Progress, Samples, silent
 
-Method = Literal["full", "joint", "psm", "static"]
+Method = Literal["full", "joint", "psm", "locked", "static"]
 StrPath = str | os.PathLike[str]
 
 _ODD_SAMPLES = ("single_sample", "outlier", "phase_stuck", "current_spike")
@@ -64,7 +64,7 @@ def fit(
     recordings : path, Samples, OperatingData, or a sequence of one of them
         Bags (folders or files) and information files (``drive-id accumulate``), in any mixture, also as URLs of
         object storage (``s3://...``); or samples; or, for method ``static``, slow telemetry in d and q.
-    method : {"full", "joint", "psm", "static"}, optional
+    method : {"full", "joint", "psm", "locked", "static"}, optional
         Default: that of ``settings``; ``static`` for OperatingData.
     i_max : float, optional
         Radius of the current disc, A. Default: that of the recorded references, or the largest measured amplitude.

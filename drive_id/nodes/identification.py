@@ -28,10 +28,8 @@ from drive_id.live.identification.warm_up import warm_up
 from drive_id.live.worker import Worker, return_free_memory, share_arenas
 from drive_id.messages import Message
 from drive_id.nodes.support.clocks import STEADY
-from drive_id.nodes.support.deferred_service import in_executor
+from drive_id.nodes.support.deferred_service import MOST_LISTED, Lookups, in_executor
 from drive_id.nodes.support.diagnostics import publish_health
-from drive_id.nodes.support.live_topics import LiveTopics
-from drive_id.nodes.support.lookups import MOST_LISTED, Lookups
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import LATCHED, STREAM, overridable
@@ -47,6 +45,7 @@ from drive_id.nodes.support.replies import (
 from drive_id.nodes.support.request_server import RequestServer
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.signal_messages import KINDS
+from drive_id.nodes.support.topics.live import LiveTopics
 from drive_id.types import SCALARS, Progress
 
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way, and at whether a background fit is due

@@ -24,14 +24,14 @@ from drive_id.live.recording.recording_session import RecordingSession, free_spa
 from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.live.recording.recordings import find_recordings
 from drive_id.nodes.support.clocks import STEADY
+from drive_id.nodes.support.deferred_service import MOST_LISTED, Lookups
 from drive_id.nodes.support.diagnostics import publish_health
-from drive_id.nodes.support.lookups import MOST_LISTED, Lookups
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import LATCHED, overridable
-from drive_id.nodes.support.recorded_topics import RecordedTopics
-from drive_id.nodes.support.recording_messages import recorder_state_message, recording_info
+from drive_id.nodes.support.replies import recorder_state_message, recording_info
 from drive_id.nodes.support.runtime import run
+from drive_id.nodes.support.topics.recorded import RecordedTopics
 
 _STATE_PERIOD = 1.0  # s between messages of the state of a recording
 _MATCH_PERIOD = 0.25  # s between checks of who publishes

@@ -10,11 +10,11 @@ from drive_id.health import Health, Level
 from drive_id.live.translator import BridgeSettings, SignalBlock, Translator
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.diagnostics import publish_health
-from drive_id.nodes.support.foreign_topics import ForeignTopics
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.signal_messages import SignalPublishers
+from drive_id.nodes.support.topics.foreign import ForeignTopics
 
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
 

@@ -157,7 +157,7 @@ class Result:
 
     @property
     def calibrations(self) -> tuple[Calibration, ...]:
-        """Estimated sensor faults; method ``full``."""
+        """Faults of the sensors and effects of the drive, as estimated by method ``full``."""
         return self.drive.calibrations
 
     @property

@@ -12,10 +12,9 @@ from rich.console import Console
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
-from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import identify, score
-from drive_id.errors import ConfigurationError, CoverageError, DataError, OutputError, ResultError
+from drive_id.errors import ConfigurationError, DataError, OutputError, ResultError
 from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import accumulate_bags, fit, fit_bags
@@ -171,13 +170,6 @@ def test_warnings_of_reading_stand_before_those_of_the_fit(simulation, tmp_path)
     assert fit.drive.report.gaps == 1
     assert fit.warnings == (*fit.provenance.warnings, *fit.drive.report.warnings)
     assert json.loads((tmp_path / "out" / "identification.json").read_text())["warnings"] == list(fit.warnings)
-
-
-def test_the_simulator_holds_a_point_and_the_fit_refuses_it(tmp_path):
-    held = Lissajous(frequency_d=0.0, frequency_q=0.0)
-    simulate_bag(machine_map("ipm"), replace(SHORT, current_noise=1e-3), tmp_path / "bag", held, 0.5)
-    with pytest.raises(CoverageError, match="references stay at"):
-        fit_bags(Sources([tmp_path / "bag"]), None, FitSettings(method="joint"))
 
 
 def test_an_experiment_takes_its_radius_from_settings_or_machine():

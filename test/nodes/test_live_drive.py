@@ -76,17 +76,6 @@ def test_the_current_follows_the_references(drive):
     assert_contiguous(drive.messages["current_reference"], "d")
 
 
-@pytest.mark.cases
-@pytest.mark.parametrize("trajectory", ["stair", "spiral"])
-def test_other_trajectories(drive, trajectory):
-    slow = {"duration": 2.0, "spiral_turns": 5.0, "dwell_time": 0.05, "stair_points": 5}
-    assert drive.set_parameters(trajectory=trajectory, **slow).successful
-    drive.run_without_end()
-    assert drive.trigger("stop").success
-    _, wanted = drive.ended_at_zero()
-    assert_smooth(wanted)
-
-
 def test_stop(drive):
     drive.run_without_end()
     assert "under way" in drive.trigger("start").message
@@ -228,21 +217,6 @@ def test_signals_end_the_publisher_with_zero_current():
         assert_smooth(wanted)  # ramped down, not cut off
         assert drive.bench.interrupt()[0] == 0
         assert "Traceback" not in ros.outputs()
-
-
-@pytest.mark.slow  # the watchdog waits in real time
-def test_a_bench_that_vanishes_trips_the_watchdog():
-    with ros_bench() as ros:
-        drive = LiveDrive(ros, publisher={"watch_timeout": 3.0}, clock=SimulatedTime(ros))
-        drive.run_without_end()
-        drive.bench.vanish()
-        assert "Nothing has arrived on" in drive.wait_for_state("tripped").reason
-        drive.ask("clear_fault", lambda reply: "Not cleared: Nothing has arrived on" in reply.message, "a refusal")
-        _, wanted = drive.ended_at_zero(alive=False)
-        assert_smooth(wanted)
-        drive.replace_bench()
-        drive.clear()
-        drive.start()
 
 
 def test_set_points_beyond_the_limit_of_the_drive_are_ignored_not_scaled():

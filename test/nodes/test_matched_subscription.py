@@ -36,8 +36,8 @@ def test_drain_takes_everything_that_has_arrived(ros):
     """Without it, the test's single-threaded executor takes one message at a time."""
     from drive_id_msgs.msg import Resolver
 
-    from drive_id.nodes.support.matched_subscription import MatchedSubscription
     from drive_id.nodes.support.qos import STREAM
+    from drive_id.nodes.support.topics.matched import MatchedSubscription
 
     got = []
     subscription = MatchedSubscription(ros.node, Resolver, "resolver", lambda data: got.append(number_of(data)))
@@ -57,8 +57,8 @@ def test_drain_takes_everything_that_has_arrived(ros):
 def test_nothing_is_lost_when_it_is_made_anew(ros):
     from drive_id_msgs.msg import Resolver
 
-    from drive_id.nodes.support.matched_subscription import MatchedSubscription
     from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT
+    from drive_id.nodes.support.topics.matched import MatchedSubscription
 
     got = []
     subscription = MatchedSubscription(ros.node, Resolver, "resolver", got.append)
@@ -76,8 +76,8 @@ def test_an_events_executor_survives_that_it_is_made_anew(ros):
     """Messages and an incompatible publisher wait for the executor, and then the subscription goes."""
     from drive_id_msgs.msg import Resolver
 
-    from drive_id.nodes.support.matched_subscription import MatchedSubscription
     from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT
+    from drive_id.nodes.support.topics.matched import MatchedSubscription
 
     executors = pytest.importorskip("rclpy.experimental.events_executor")
     from rclpy.task import Future

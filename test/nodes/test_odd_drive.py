@@ -1,12 +1,11 @@
-"""What forbids a start or trips: a drive with something wrong, and two emergency stops."""
+"""What a drive says of itself, and two emergency stops, reach the supervision: test_supervision.py has its rules."""
 
 from __future__ import annotations
 
-import math
 import time
 
 import pytest
-from odd_drive import PUBLISHER, OddDrive
+from odd_drive import OddDrive
 from ros_bench import require_ros, ros_bench
 
 FIRST, SECOND = "emergency_stop", "second_stop"
@@ -34,41 +33,9 @@ def wait(ros, seconds):
     ros.wait(lambda: time.monotonic() > until, "a while")
 
 
-@pytest.mark.parametrize(("offset", "side"), [(5.0, "ahead of"), (-5.0, "behind")])
-def test_a_clock_that_is_wrong_refuses_a_start(drive, offset, side):
-    drive.offset = offset
-    drive.refuses("fault", f"s {side} the clock of this node, more than clock_offset, 1 s")
-
-
-def test_a_start_asks_for_the_largest_speed(drive):
-    drive.status["speed_limit"] = math.nan
-    drive.refuses("limit", "speed_max is not set, and the drive reports no speed_limit")
-
-
 def test_a_start_beyond_the_limit_of_the_drive_is_refused(drive):
     drive.status["current_limit"] = 40.0
     drive.refuses("limit", "i_max is 50 A, above the current_limit of the drive, 40 A.")
-
-
-def test_a_current_above_the_limit_of_the_drive_trips(drive):
-    drive.status["current_limit"] = 52.0
-    drive.runs()
-    drive.spike = 58.0  # within 1.25 i_max
-    drive.trips("The current of phase a is 58 A, above 57.2 A, 1.1 times the current_limit of the drive: lower i_max.")
-
-
-def test_exchanged_phases_trip(drive):
-    drive.sense = -1
-    drive.asks("start_experiment", lambda reply: reply.success, "a start")
-    drive.trips("The current does not follow the reference")
-
-
-def test_a_current_that_nobody_commands_is_told(drive):
-    drive.uncommanded = 20.0
-    drive.refuses("fault", "The current does not follow the reference")
-    reply = drive.call("stop_experiment")
-    assert (reply.success, reply.code) == (False, "current_flows")
-    assert reply.message.endswith("But the drive does not go to zero current: use the emergency stop.")
 
 
 @pytest.mark.cases
@@ -77,6 +44,7 @@ def test_a_current_that_nobody_commands_is_told(drive):
     [
         ({"winding_temperature": 130.0}, "The winding has 130 degC, above temperature_max, 120 degC."),
         ({"dc_link_voltage": 420.0}, "The DC link has 420 V, outside of -inf to 400 V."),
+        ({"speed_limit": 150.0}, "The speed is 200 rad/s, above speed_max, 150 rad/s."),
     ],
 )
 def test_a_limit_that_the_status_exceeds_trips(drive, wrong, reason):
@@ -84,38 +52,6 @@ def test_a_limit_that_the_status_exceeds_trips(drive, wrong, reason):
     drive.status |= wrong
     drive.trips(reason)
     drive.asks("clear_fault", lambda reply: reply.message == f"Not cleared: {reason}", "a refusal")
-
-
-@pytest.mark.cases
-@pytest.mark.parametrize(
-    ("wrong", "value", "reason"),
-    [
-        ("spike", 70.0, "The current of phase a is 70 A, above 62.5 A."),
-        ("spike", math.nan, "Samples of /phase_currents are NaN or infinite."),
-        ("silent", True, "Nothing has arrived on /phase_currents for"),
-    ],
-)
-def test_after_a_trip_a_plain_start_is_refused_until_it_is_cleared(drive, wrong, value, reason):
-    from std_srvs.srv import Trigger
-
-    def plain(name):
-        return drive.ros.call(Trigger, f"/{PUBLISHER}/{name}")
-
-    drive.runs()
-    setattr(drive, wrong, value)
-    drive.trips(reason)
-    drive.put_right()
-    stopped = drive.ros.wait(
-        lambda: (said := plain("stop").message).startswith("Nothing") and said, "the end of the run"
-    )
-    assert stopped.startswith(f"Nothing is running. It tripped: {reason}")
-    wait(drive.ros, 0.3)  # the cause is gone
-    refused = plain("start")
-    assert not refused.success
-    assert refused.message.startswith(f"Not started: it tripped before. {reason}")
-    assert not drive.is_driven()
-    drive.clear()
-    drive.runs()
 
 
 class Button:

@@ -348,22 +348,6 @@ def test_a_clock_that_is_not_there_or_stops(ros):
     assert len(times) == 1
 
 
-def test_a_folder_that_is_removed_or_renamed(ros):
-    recorder, bench = Recorder(ros, flush_period=0.1), Bench(ros)
-    bench.wait_for_listeners()
-    for name, act in (("removed", shutil.rmtree), ("renamed", lambda path: path.rename(path.with_name("elsewhere")))):
-        assert recorder.start(name).success
-        bench.publish(10)
-        recorder.wait_for_samples(phase_currents=1000)
-        act(recorder.data / name)
-        recorder.wait_for_status(f"{recorder.data / name} was removed or renamed", 2)
-        reply = recorder.stop()
-        assert (reply.success, reply.samples) == (False, 0)
-        assert reply.dropped >= 4000
-        assert "no sample was lost" not in reply.message
-    assert recorder.start("next").success
-
-
 def test_further_topics_of_any_type_with_their_definitions(ros):
     """One of before the recording (transient local), one that comes up during it, one that nobody publishes."""
     from geometry_msgs.msg import TransformStamped

@@ -150,13 +150,6 @@ class LiveDrive:
         """Return the last message of a topic, forgotten or not; None before the first one."""
         return self.messages[name][-1] if self.messages[name] else self._before.get(name)
 
-    def replace_bench(self):
-        """Start another bench in place of one that was killed, whose samples end where that died."""
-        self.bench = self.ros.host(BENCH, parameters={"use_sim_time": True}, namespace=self.namespace)
-        for name in SIGNALS:
-            self.messages[name].clear()
-            self._before.pop(name, None)
-
     def forget(self):
         self._before = {name: self.last(name) for name in self.messages}
         for messages in self.messages.values():

@@ -59,8 +59,7 @@ class OddDrive:
         return bool(self._references.last.any())
 
     def put_right(self):
-        self.offset, self.sense, self.uncommanded, self.status = 0.0, 1, 0.0, dict(SOUND)
-        self.spike, self.silent = None, False
+        self.status = dict(SOUND)
 
     def _on_state(self, message):
         self.state = message
@@ -83,15 +82,12 @@ class OddDrive:
         stamps = self._next + np.arange(number) * round(PERIOD * NANOSECONDS)
         if self.is_driven():
             self.at_zero_since = time.monotonic()
-        vector = self._references.take(stamps, PERIOD) @ (1, 1j) + self.uncommanded
+        vector = self._references.take(stamps, PERIOD) @ (1, 1j)
         angle = (SPEED * PERIOD * (self._count + np.arange(number)) + math.pi) % (2 * math.pi) - math.pi
-        turned = vector * np.exp(1j * self.sense * angle)
+        turned = vector * np.exp(1j * angle)
         phases = [(turned * np.exp(-2j * math.pi * k / 3)).real.tolist() for k in range(3)]
-        if self.spike is not None:
-            phases[0][-1] = self.spike
         head = {"first_sample": self._count, "sample_period": PERIOD}
-        if not self.silent:
-            self._publish(self._next, PhaseCurrents(**head, **dict(zip("abc", phases, strict=True))))
+        self._publish(self._next, PhaseCurrents(**head, **dict(zip("abc", phases, strict=True))))
         self._publish(self._next, Resolver(**head, angle=angle.tolist(), speed=[SPEED] * number))
         self._count += number
         self._next += number * round(PERIOD * NANOSECONDS)
@@ -100,9 +96,7 @@ class OddDrive:
         self._statuses += 1
 
     def _publish(self, stamp, message):
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(
-            stamp + round(self.offset * NANOSECONDS), NANOSECONDS
-        )
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
         self._kept[type(message)].publish(message)
 
     # The publisher

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from browser import check_quiet, driven, wait_for
 
-from drive_id.exchange.comparison import compare
 from drive_id.live.live_view import LiveView
+from drive_id.result.comparison import compare
 from drive_id.web.archive import Archive
 from drive_id.web.page import archive_page, write_page
 

@@ -377,7 +377,7 @@ def _on_map(
 
 
 def _on_calibration(evidence: Evidence, fit: FullFit, calibrations: Sequence[Calibration]) -> Iterator[Message]:
-    """Yield warnings of sensor faults and of maps that are not reciprocal."""
+    """Yield warnings of effects and faults of sensors, and of maps that are not reciprocal."""
     yield from (c.message for c in calibrations if c.name == "resolver_offset" and c.message.kind == "warning")
     if not fit.spec.reciprocal and evidence.settings.maps == "auto":
         yield not_reciprocal_warning(fit)

@@ -61,7 +61,7 @@ class Parameters:
     that did not keep them."""
 
     def corrected(self, pieces: Sequence[Samples]) -> Sequence[Samples]:
-        """Return recordings without the sensor faults that are applied; the same ones if none was looked for."""
+        """Return recordings without the applied faults of sensors; the same ones if none was looked for."""
         if not self.calibrations:
             return pieces
         from drive_id.core.full.calibration import corrected  # noqa: PLC0415  # takes 0.1 s

@@ -20,7 +20,7 @@ from drive_id.core.full.windows import LONGEST_WINDOW, WINDOW_ANGLE
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.planning.prediction import (
     DROP_SHARE,
-    FisherInformation,
+    FisherMatrix,
     Prediction,
     fisher_information,
     predict,
@@ -197,13 +197,13 @@ class _Scout:
         cells, self._windows = fineness
         self.settings, self.machine = settings, machine
         self._model = rough_model(machine.i_max, cells)
-        self._known: dict[tuple[Lissajous, float, float], FisherInformation] = {}
+        self._known: dict[tuple[Lissajous, float, float], FisherMatrix] = {}
 
     def predict(self, experiment: PlannedExperiment) -> Prediction:
         parts = [self._information(experiment, speed) for speed in experiment.speeds]
         return predict(self._model, parts, self.machine, self.settings.current_noise)
 
-    def _information(self, experiment: PlannedExperiment, speed: float) -> FisherInformation:
+    def _information(self, experiment: PlannedExperiment, speed: float) -> FisherMatrix:
         """Return the information of the experiment's share at one speed."""
         key = experiment.trajectory, speed, experiment.figure
         if key not in self._known:

@@ -57,16 +57,16 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False)
-class FisherInformation:
+class FisherMatrix:
     """Fisher information of the windows at one speed, for unit variance."""
 
     normal: FloatArray  # Z'Z, (size, size)
     rows: float
     window: float  # mean duration of a window, s
 
-    def lasting(self, factor: float) -> FisherInformation:
+    def lasting(self, factor: float) -> FisherMatrix:
         """Return the information of this many repetitions."""
-        return FisherInformation(factor * self.normal, factor * self.rows, self.window)
+        return FisherMatrix(factor * self.normal, factor * self.rows, self.window)
 
 
 def rough_model(i_max: float, cells: int) -> FullModel:
@@ -101,20 +101,18 @@ def synthesize(
     )
 
 
-def fisher_information(model: FullModel, samples: Samples, most_windows: int) -> FisherInformation:
+def fisher_information(model: FullModel, samples: Samples, most_windows: int) -> FisherMatrix:
     """Return Z'Z of samples, extrapolated from at most ``most_windows`` of their windows."""
     cutter = WindowCutter(model.shapes)
     windows = Windows.joined([*cutter.cut(samples), *cutter.finish()])
     chosen = windows.thinned(most_windows)
     each = sparse.eye_array(model.size, format="csr")
     rows = model.design_times(chosen, each, model.orders).reshape(-1, model.size)
-    information = FisherInformation(rows.T @ rows, float(len(rows)), float(windows.duration.mean()))
+    information = FisherMatrix(rows.T @ rows, float(len(rows)), float(windows.duration.mean()))
     return information.lasting(len(windows) / len(chosen))
 
 
-def predict(
-    model: FullModel, parts: Sequence[FisherInformation], machine: RoughMachine, current_noise: float
-) -> Prediction:
+def predict(model: FullModel, parts: Sequence[FisherMatrix], machine: RoughMachine, current_noise: float) -> Prediction:
     """Predict the standard errors of a fit to all parts of an experiment, one for each speed.
 
     ``current_noise`` is the standard deviation of each phase current's noise as a fraction of i_max.

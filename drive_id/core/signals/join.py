@@ -65,7 +65,7 @@ def join(
     *,
     scaled_by: str = "",
     to_phases: tuple[ToPhases | None, ToPhases | None] = (None, None),
-) -> JoinResult:
+) -> JoinedSamples:
     """Join the signals of one drive.
 
     Samples with repeated or backward stamps are cut out. A current sample is kept when voltages and resolver each have
@@ -113,7 +113,7 @@ def join(
         joining.add(section, signal)
     end, pieces = joining.finished()
     end.check()
-    return JoinResult(joined(pieces), end.report())
+    return JoinedSamples(joined(pieces), end.report())
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class JoinReport:
 
 
 @dataclass(frozen=True, eq=False)
-class JoinResult:
+class JoinedSamples:
     """Joined samples, and what was done to get them."""
 
     samples: Samples

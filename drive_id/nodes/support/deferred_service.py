@@ -12,8 +12,11 @@ from typing import Any
 from rclpy.node import Node
 from rclpy.service import Service
 
+from drive_id.errors import DriveIdError
+from drive_id.live.worker import Worker
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.qos import SERVICE
+from drive_id.types import Progress
 
 _BURST = 5
 """Replies sent at once: the queue of a client keeps ten, those to other clients of the service included."""
@@ -21,6 +24,8 @@ _PAUSE = 0.02
 """Time between two bursts, s: more than a client that waits takes for one."""
 _PATIENCE = 0.3
 """Time before a further reply is sent, s: so long a client may go on sending requests before it listens."""
+MOST_LISTED = 100
+"""Entries of a list for which no number was asked."""
 
 
 def in_executor(node: Node, call: Callable[[], None]) -> None:
@@ -115,3 +120,35 @@ def deferred_service(
 
     service = services.create(kind, name, on_request)
     send, service.send_response = service.send_response, LaterResponse.attach
+
+
+class Lookups:
+    """Services that read folders in a thread, so that no callback waits for a disk; while one does, others are busy.
+
+    Their requests are answered with ``success``, ``code`` and ``message``.
+    """
+
+    def __init__(self, node: Node, services: PacedServices) -> None:
+        self._node, self._services = node, services
+        self._worker: Worker[Any] = Worker()
+
+    def serve(self, kind: Any, name: str, look: Callable[[Any, Any], Any]) -> None:
+        """Create a service; ``look`` fills the response and returns it, in the thread, or raises DriveIdError."""
+
+        def on_request(request: Any, answer: LaterResponse) -> None:
+            if self._worker.busy:
+                answer(kind.Response(code="busy", message="Folders are being read for another request: ask again."))
+                return
+            job = partial(self._looked, kind, look, request)
+            self._worker.start(job, lambda response: in_executor(self._node, lambda: answer(response)))
+
+        deferred_service(self._services, kind, name, on_request)
+
+    def _looked(self, kind: Any, look: Callable[[Any, Any], Any], request: Any, _: Progress) -> Any:
+        try:
+            return look(request, kind.Response(success=True, code="ok"))
+        except DriveIdError as error:
+            return kind.Response(code=error.code, message=str(error))
+        except Exception:  # noqa: BLE001  # whoever asked waits for an answer
+            self._node.get_logger().error(f"A mistake of drive_id, please report it: {traceback.format_exc()}")
+            return kind.Response(code="internal", message="The folders could not be read: report this as a bug.")

@@ -7,18 +7,15 @@ import math
 import numpy as np
 import pytest
 from scipy.special import j1
+from supervised_cell import Cell
 
-from drive_id.bench.bench import SimulatedBench
 from drive_id.bench.machines import machine_map
-from drive_id.bench.settings import BenchSettings, SimulationSettings
-from drive_id.core.experiment.feedback import SampleBlock
+from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.free_shaft import FreeShaft, MeanSpeed, RotatingVector, swing_frequency
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.experiment.state_machine import ExperimentState
-from drive_id.core.experiment.supervision import SupervisedExperiment
 from drive_id.errors import ConfigurationError
 
-TICK = 20_000_000  # ns
 ELECTRICAL = 4 * math.pi / 30
 """rad/s per rpm of the machine ipm."""
 
@@ -68,51 +65,10 @@ def test_the_vector_turns_as_far_back_as_forwards():
     assert angle[-1] == pytest.approx(angle[0], abs=1e-6)
 
 
-class Cell:
-    """A supervised experiment and a simulated drive, tick by tick, without processes."""
-
-    def __init__(self, drive=None, **settings):
-        drive = {"free_shaft": True, "current_noise": 0.001, "speed_observer": 100.0} | (drive or {})
-        self.bench = SimulatedBench(machine_map("ipm"), SimulationSettings(**drive), BenchSettings())
-        self.settings = ExperimentSettings(
-            **{"trajectory": "free_shaft", "i_max": 300.0, "slew_rate": 2e5, "duration": 8.0} | settings
-        )
-        self.experiment = SupervisedExperiment(self.settings)
-        self.now = 1_000_000_000
-        self.peaks, self.speeds, self.means, self.wanted = [], [], [], []
-
-    def tick(self):
-        steady = self.now * 1e-9
-        for block in self.bench.advance(self.now):
-            head = (block.stamp, block.first_sample, block.sample_period)
-            self.experiment.currents(self.now, steady, SampleBlock(*head, block.currents))
-            self.experiment.resolver(self.now, steady, SampleBlock(*head, block.resolver))
-            self.peaks.append(max(np.abs(phase).max() for phase in block.currents))
-            self.speeds.append(np.abs(block.resolver[1]).max())
-        status = self.bench.status()
-        if status is not None:
-            self.experiment.status(self.now, steady, status)
-        for block in self.experiment.advance(self.now, steady):
-            d, q = block.i_dq.T
-            self.wanted.append(block.i_dq)
-            self.bench.references.add(
-                block.stamp, block.sample_period, d, q,
-                session=block.session, count=block.count, safe=block.safe, stator_frame=block.stator_frame,
-            )  # fmt: skip
-        report = self.experiment.report(self.now, steady)
-        self.means.append(report.mean_speed)
-        self.now += TICK
-        return report
-
-    def run(self):
-        for _ in range(20):
-            self.tick()
-        answer = self.experiment.start(self.now, self.now * 1e-9)
-        assert answer.success, answer.message
-        self.peaks, self.speeds, self.means = [], [], []
-        while (report := self.tick()).state not in {ExperimentState.IDLE, ExperimentState.TRIPPED}:
-            pass
-        return report
+def cell_of(drive=None, **settings):
+    drive = {"free_shaft": True, "current_noise": 0.001, "speed_observer": 100.0} | (drive or {})
+    settings = {"trajectory": "free_shaft", "i_max": 300.0, "slew_rate": 2e5, "duration": 8.0} | settings
+    return Cell(machine_map("ipm"), SimulationSettings(**drive), ExperimentSettings(**settings))
 
 
 # The largest torque of the machine accelerates it by 4000 rad/s^2 (mechanical), 16000 rad/s^2 electrical.
@@ -121,7 +77,7 @@ BAND = {"shaft_acceleration": 14_000.0, "shaft_speed_max": 1400 * ELECTRICAL}
 
 @pytest.mark.accuracy
 def test_a_swing_about_standstill_stays_in_its_band():
-    cell = Cell(**BAND)
+    cell = cell_of(**BAND)
     report = cell.run()
     assert report.state is ExperimentState.IDLE, report.reason
     assert report.coverage > 0.8
@@ -137,7 +93,7 @@ def test_a_heavy_rotor_is_held_at_its_mean_speed_whatever_its_friction(friction)
     """A proportional feedback alone stays behind by what friction takes."""
     torque = 127.4  # largest one of this machine, N m
     mean = 600 * ELECTRICAL
-    cell = Cell(
+    cell = cell_of(
         {"inertia": 10 * torque / 4000.0, "coulomb_friction": friction * torque, "viscous_friction": 0.0},
         shaft_acceleration=1400.0, shaft_speed_max=1400 * ELECTRICAL, mean_speed=mean, duration=20.0,
     )  # fmt: skip
@@ -148,7 +104,7 @@ def test_a_heavy_rotor_is_held_at_its_mean_speed_whatever_its_friction(friction)
 
 
 def test_a_swing_that_was_planned_for_a_heavier_rotor_trips():
-    cell = Cell(shaft_acceleration=3000.0, shaft_speed_max=600 * ELECTRICAL)
+    cell = cell_of(shaft_acceleration=3000.0, shaft_speed_max=600 * ELECTRICAL)
     report = cell.run()
     assert report.state is ExperimentState.TRIPPED
     assert "above 1.2 times shaft_speed_max" in report.reason
@@ -161,7 +117,7 @@ def test_a_swing_that_was_planned_for_a_heavier_rotor_trips():
 
 
 def test_a_locked_shaft_trips():
-    cell = Cell({"inertia": 1e6}, **BAND)
+    cell = cell_of({"inertia": 1e6}, **BAND)
     report = cell.run()
     assert report.state is ExperimentState.TRIPPED
     assert "the shaft is locked" in report.reason

@@ -14,7 +14,6 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.selection import distinct_orders
 from drive_id.core.result.identify import identify, score
-from drive_id.errors import DataError
 from drive_id.fitting.simulated import run_experiment
 
 I_MAX = 300.0
@@ -47,23 +46,7 @@ def test_a_good_recording_is_told_nothing(good):
     assert told(good.samples) == ""
 
 
-def test_swapped_phases_are_refused(good):
-    samples = good.samples.part(0, 10_000)
-    swapped = replace(samples, i_abc=samples.i_abc[:, [1, 0, 2]], u_abc=samples.u_abc[:, [1, 0, 2]])
-    with pytest.raises(DataError, match="two phases swapped in currents and voltages alike"):
-        fitted(swapped)
-    with pytest.raises(DataError, match="Phases a and b of the currents seem to be swapped"):
-        fitted(replace(samples, i_abc=samples.i_abc[:, [1, 0, 2]]))
-
-
 @pytest.mark.accuracy
-def test_a_loss_of_voltage_is_located(good):
-    u_abc = good.samples.u_abc.copy()
-    u_abc[21_550:21_600] = 0.0
-    sentence = told(replace(good.samples, u_abc=u_abc))
-    assert any(f"around 2.1{digit} s" in sentence for digit in (3, 4, 5, 6, 7, 8))
-
-
 @pytest.mark.accuracy
 def test_a_constant_voltage_is_no_offset_of_the_currents(good):
     """The flux would show that of the currents; both are taken out, so that the simulated current stays right."""

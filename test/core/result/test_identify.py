@@ -11,15 +11,10 @@ from synthetic import record, saturating_flux
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.maps.flux_models import Polynomial, as_tensor_spline
-from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.solver import jackknife, solve
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import identify
-from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.errors import CoverageError, DataError
-
-NO_DROP = (np.array([-1.0, 1.0]), np.zeros(2))
 
 
 def tanh_drop(i_abc):
@@ -200,29 +195,6 @@ def test_half_a_disc_gives_half_a_map():
     assert result.report.gaps == len(breaks) - 1
     assert result.report.unseen > 0
     assert result.report.rank < result.report.parameters
-
-
-def test_the_open_loop_simulation_follows_the_recording_when_the_model_is_true():
-    samples = record(linear_flux, drop=tanh_drop, duration=2.0)
-    model = Polynomial(1, 300.0)
-    gamma = np.array([0.08, 0.0, 0.06, 0.0, 0.09, 0.0])
-    axes = Axis(-330, 330, 6), Axis(-330, 330, 6)
-    drop = (np.linspace(-10, 10, 4001), 4.0 * np.tanh(np.linspace(-10, 10, 4001)))
-    simulated = simulate_current(samples, *as_tensor_spline(model, gamma, *axes), {}, 0.02, drop)
-    measured = frames.to_dq(samples.i_abc, samples.angle)
-    assert np.abs(simulated - measured).max() < 0.5  # the inverter's kinks fall inside of the steps
-    without = simulate_current(
-        record(linear_flux, duration=2.0), *as_tensor_spline(model, gamma, *axes), {}, 0.02, NO_DROP
-    )
-    assert np.abs(without - measured).max() < 0.02
-
-
-def test_a_model_that_gains_energy_is_told_to_have_diverged():
-    samples = record(linear_flux, duration=2.0)
-    gamma = np.array([0.08, 0.0, 0.06, 0.0, 0.09, 0.0])
-    spline = as_tensor_spline(Polynomial(1, 300.0), gamma, Axis(-330, 330, 6), Axis(-330, 330, 6))
-    simulated = simulate_current(samples, *spline, {}, -0.5, NO_DROP)
-    assert np.isnan(simulated[-1]).all()
 
 
 def test_silence_is_refused(clean):

@@ -6,9 +6,6 @@ import errno
 import io
 import os
 import shutil
-import subprocess
-import sys
-import textwrap
 import threading
 import time
 from datetime import datetime, timezone
@@ -368,37 +365,6 @@ def test_an_error_of_the_index_loses_nothing(tmp_path):
         assert bool(session.error) == (room is None)
         assert len(stock_messages(path)) == 80
     assert bag_info(path).messages == 80
-
-
-def test_a_limit_of_the_system(tmp_path):
-    """The same with a real error of the system: no file may grow beyond 100 kB."""
-    script = """
-        import resource, sys, time
-        from pathlib import Path
-        from recorder_blocks import TOPICS, feed
-        from drive_id.live.recording.recording_session import RecordedTopic, RecordingSession
-        from drive_id.live.recording.recording_settings import RecordingSettings
-        resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
-        session = RecordingSession(Path(sys.argv[1]), TOPICS, RecordingSettings(chunk_size=8192))
-        for number in range(10_000):
-            feed(session, 1, first=number)
-            time.sleep(0.0005)
-            if session.error:
-                break
-        session.stop()
-        print(session.report().samples, session.error)
-    """
-    path = tmp_path / "bag"
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2] / "support")}
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(script), str(path)],
-        env=environment, capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
-    samples, _, error = done.stdout.partition(" ")
-    assert os.strerror(errno.EFBIG) in error
-    assert "complete and readable" in error
-    assert int(samples) >= len(read_recording(path).samples) > 500
-    assert len(stock_messages(path)) == bag_info(path).messages
 
 
 def test_a_bag_that_cannot_be_begun(tmp_path):

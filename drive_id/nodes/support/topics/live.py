@@ -15,10 +15,10 @@ from drive_id.live.identification.inbox import Inbox
 from drive_id.live.publishers import Publisher
 from drive_id.live.translator import Translator
 from drive_id.nodes.support.clocks import STEADY
-from drive_id.nodes.support.foreign_topics import ForeignTopics
 from drive_id.nodes.support.managed import ManagedNode
-from drive_id.nodes.support.matched_subscription import MatchedSubscription
 from drive_id.nodes.support.signal_messages import KINDS
+from drive_id.nodes.support.topics.foreign import ForeignTopics
+from drive_id.nodes.support.topics.matched import MatchedSubscription
 from drive_id.types import SCALARS
 
 _MATCH_PERIOD = 0.25  # s between checks of who publishes

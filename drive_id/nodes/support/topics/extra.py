@@ -12,8 +12,8 @@ from rclpy.validate_topic_name import validate_topic_name
 from drive_id.errors import ConfigurationError
 from drive_id.health import Level, Observation
 from drive_id.live.recording.recording_session import RecordedTopic
-from drive_id.nodes.support.matched_subscription import MatchedSubscription
-from drive_id.nodes.support.message_types import definition, message_class
+from drive_id.nodes.support.topics.matched import MatchedSubscription
+from drive_id.nodes.support.topics.types import definition, message_class
 
 _MOST_LATCHED = 100
 """Messages of a transient local topic that are kept for the beginning of a recording."""

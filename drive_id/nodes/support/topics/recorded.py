@@ -13,9 +13,9 @@ from drive_id.files.messages.messages import type_hash
 from drive_id.live.publishers import Publisher, of_type
 from drive_id.live.recording.recorder_health import TopicState
 from drive_id.live.recording.recording_session import RecordedTopic
-from drive_id.nodes.support.extra_topics import ExtraTopics
-from drive_id.nodes.support.matched_subscription import MatchedSubscription
 from drive_id.nodes.support.signal_messages import KINDS
+from drive_id.nodes.support.topics.extra import ExtraTopics
+from drive_id.nodes.support.topics.matched import MatchedSubscription
 from drive_id.types import SCALARS
 
 TOPICS = KINDS | {"current_reference": CurrentReference} | dict.fromkeys(SCALARS, ScalarSamples)

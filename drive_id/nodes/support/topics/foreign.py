@@ -10,8 +10,8 @@ from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.storage.container import TopicInfo
 from drive_id.health import Level, Observation
 from drive_id.live.translator import Translator
-from drive_id.nodes.support.matched_subscription import MatchedSubscription
-from drive_id.nodes.support.message_types import definition, message_class
+from drive_id.nodes.support.topics.matched import MatchedSubscription
+from drive_id.nodes.support.topics.types import definition, message_class
 
 
 class ForeignTopics:

@@ -1,0 +1,1 @@
+"""Topics that a node subscribes to: of a drive, of strangers, and of any type; their types and subscriptions."""

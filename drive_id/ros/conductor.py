@@ -98,7 +98,8 @@ class Conductor(Calls):
     """Runs experiments by calling trajectory_publisher, recorder and identification.
 
     While it waits for something, it sends heartbeats to the trajectory publisher, which ramps to zero current without
-    them: nothing keeps running when this process dies or hangs.
+    them, and to the recorder while that records, which ends the recording: nothing keeps running when this process dies
+    or hangs.
 
     Parameters
     ----------
@@ -125,16 +126,21 @@ class Conductor(Calls):
         self.recorded = Recording()
         """What has been recorded for the goal under way."""
         self._records = self._drives = False  # a recording or trajectory may be under way that was started here
+        self._recording = False  # one that was started here is under way
         self._state: PublisherState | None = None
         self._heard, self._speed = 0.0, math.nan
         self._phase, self._share = WAITING, 0.0
         self._identify = self._action(Identify, f"{IDENTIFICATION}/identify")
         self._node.create_subscription(PublisherState, f"{PUBLISHER}/state", self._on_state, LATCHED)
-        self._heartbeats = self._heartbeats_to(PUBLISHER)
+        self._heartbeats = {
+            PUBLISHER: self._heartbeats_to(PUBLISHER),
+            RECORDER: self._heartbeats_to(RECORDER, lambda: self._recording),
+        }
 
     def missing(self) -> list[str]:
         """Return the nodes that have not been heard of, or lack what is needed."""
-        unheard = set() if self._heartbeats.get_subscription_count() and self._state is not None else {PUBLISHER}
+        unheard = {node for node, beats in self._heartbeats.items() if not beats.get_subscription_count()}
+        unheard |= set() if self._state is not None else {PUBLISHER}
         unready = set() if self._identify.server_is_ready() else {IDENTIFICATION}
         return sorted({*super().missing(), *unheard, *unready})
 
@@ -218,7 +224,7 @@ class Conductor(Calls):
 
     def _stop_recording(self) -> Any:
         """Complete the bag, and add it to what has been recorded."""
-        self._records = False
+        self._records = self._recording = False
         stopped, before = self._called(f"{RECORDER}/stop"), self.recorded
         self.recorded = Recording(
             (*before.uris, *filter(None, [stopped.uri])),
@@ -232,11 +238,13 @@ class Conductor(Calls):
 
     def _record(self, name: str, run: dict[str, Any], *, first: bool) -> None:
         """Record one trajectory; the live samples of the identification node are those of the first one on."""
-        self._heartbeats.publish(Empty())  # long before the start, which may require it
+        self._heartbeats[PUBLISHER].publish(Empty())  # long before the start, which may require it
         self._records = True  # before there is an answer, which may come too late
         started = self._called(f"{RECORDER}/start", name=name)
-        self._records = started.success  # else the recorder may be busy for another client, who shall not be stopped
+        # Else the recorder may be busy for another client, who shall not be stopped.
+        self._records = self._recording = started.success
         self._succeeded(f"{RECORDER}/start", started)
+        self._heartbeats[RECORDER].publish(Empty())
         if first:
             self._required(f"{IDENTIFICATION}/reset")
         duration = self._run_trajectory(run)

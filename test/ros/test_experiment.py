@@ -65,11 +65,11 @@ class Suite:
         ros.node.create_subscription(FitReport, "/fit_report", self.reports.append, latched)
 
     @contextmanager
-    def connected(self):
+    def connected(self, name=NAME):
         """Give a client of the action, which is gone afterwards."""
         from drive_id_msgs.action import Experiment
 
-        client = self.kind(self.ros.node, Experiment, NAME)
+        client = self.kind(self.ros.node, Experiment, name)
         try:
             yield client
         finally:
@@ -271,6 +271,34 @@ def test_a_trajectory_at_each_speed_in_order(suite, goal):
     never.wait_for("waiting")
     never.handle.cancel_goal_async()
     assert never.wait(ENDED)[1].code == "cancelled"
+
+
+@pytest.mark.process
+@pytest.mark.slow  # an experiment in real time
+def test_a_killed_experiment_leaves_neither_current_nor_a_recording(suite):
+    from drive_id_msgs.srv import StartRecording, StopRecording
+
+    process = suite.ros.start("drive_id.ros.experiment", arguments=["-r", "__node:=mortal"])
+    with suite.connected("/mortal/experiment") as client:
+        suite.ros._wait_until_known("/mortal")
+        Goal(suite.ros, client, name="killed", duration=60.0).wait_for("trajectory")
+        suite.ros.wait(lambda: not suite.at_zero(), "current")
+        process.popen.kill()
+        process.popen.wait()
+        suite.ros.wait(lambda: suite.states[-1].state == "tripped", "the trip")
+        suite.ros.wait(lambda: suite.recording().state == "failed", "the end of the recording")
+    state = suite.recording()
+    assert "no heartbeat" in state.error
+    assert state.uri == str(suite.data / "killed")
+    assert state.dropped == 0
+    recorded = read_bag(Path(state.uri))
+    assert np.abs(recorded.i_abc).max() > 0.5 * I_MAX
+    assert np.abs(recorded.i_abc[-100:]).max() < 0.05 * I_MAX, "the ramp is in the bag"
+    suite.clear()
+    again = suite.ros.call(StartRecording, "/recorder/start", name="after")
+    assert again.success
+    assert "The recording before it was cut short: The client that records" in again.message
+    assert suite.ros.call(StopRecording, "/recorder/stop").uri == again.uri
 
 
 class Client:

@@ -36,9 +36,12 @@ PUBLISHER = {
 
 
 class Suite:
-    """All nodes in the test's process, a client of the action, and what the drive measures and the nodes say."""
+    """All nodes, a client of the action, and what the drive measures and the nodes say.
 
-    def __init__(self, ros):
+    ``begin`` hosts a node in the test's process, or starts it as one of its own.
+    """
+
+    def __init__(self, ros, begin):
         from drive_id_msgs.msg import FitReport, PhaseCurrents, PublisherState, RecorderState
         from rclpy.action import ActionClient
         from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -48,12 +51,12 @@ class Suite:
         self.data = ros.folder / "data"
         data = {"data_directory": str(self.data)}
         fit = {"output_directory": str(ros.folder / "results"), "i_max": I_MAX, "refit_share": 0.0, "method": "joint"}
-        self.recorder = ros.host(NODES + "recorder", parameters=data)
-        ros.host(NODES + "identification", parameters=data | fit)
-        ros.host(NODES + "trajectory_publisher", parameters=PUBLISHER)
+        begin(NODES + "recorder", parameters=data)
+        begin(NODES + "identification", parameters=data | fit)
+        begin(NODES + "trajectory_publisher", parameters=PUBLISHER)
         drive = {"machine": "ipm", "i_max": I_MAX, "speeds": [500.0], "current_noise": 0.001, "ramp_time": 0.2}
-        ros.host(NODES + "bench_simulator", parameters=drive)
-        self.experiment = ros.host("drive_id.ros.experiment", parameters={"timeout": 40.0, "speed_time": 20.0})
+        begin(NODES + "bench_simulator", parameters=drive)
+        self.experiment = begin("drive_id.ros.experiment", parameters={"timeout": 40.0, "speed_time": 20.0})
         self.currents, self.states, self.recordings, self.reports = [], [], [], []
         latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.button = ros.node.create_publisher(Bool, "emergency_stop", latched)
@@ -65,11 +68,11 @@ class Suite:
         ros.node.create_subscription(FitReport, "/fit_report", self.reports.append, latched)
 
     @contextmanager
-    def connected(self, name=NAME):
+    def connected(self):
         """Give a client of the action, which is gone afterwards."""
         from drive_id_msgs.action import Experiment
 
-        client = self.kind(self.ros.node, Experiment, name)
+        client = self.kind(self.ros.node, Experiment, NAME)
         try:
             yield client
         finally:
@@ -106,7 +109,7 @@ class Suite:
 def suite():
     require_ros()
     with ros_bench() as bench:
-        yield Suite(bench)
+        yield Suite(bench, bench.host)
 
 
 @pytest.fixture
@@ -275,16 +278,20 @@ def test_a_trajectory_at_each_speed_in_order(suite, goal):
 
 @pytest.mark.process
 @pytest.mark.slow  # an experiment in real time
-def test_a_killed_experiment_leaves_neither_current_nor_a_recording(suite):
+def test_a_killed_experiment_leaves_neither_current_nor_a_recording():
+    require_ros()
+    with ros_bench() as bench:
+        _kill_an_experiment(Suite(bench, bench.start))
+
+
+def _kill_an_experiment(suite):
     from drive_id_msgs.srv import StartRecording, StopRecording
 
-    process = suite.ros.start("drive_id.ros.experiment", arguments=["-r", "__node:=mortal"])
-    with suite.connected("/mortal/experiment") as client:
-        suite.ros._wait_until_known("/mortal")
+    with suite.connected() as client:
+        suite.ros._wait_until_known("/experiment")
         Goal(suite.ros, client, name="killed", duration=60.0).wait_for("trajectory")
         suite.ros.wait(lambda: not suite.at_zero(), "current")
-        process.popen.kill()
-        process.popen.wait()
+        suite.experiment.popen.kill()
         suite.ros.wait(lambda: suite.states[-1].state == "tripped", "the trip")
         suite.ros.wait(lambda: suite.recording().state == "failed", "the end of the recording")
     state = suite.recording()

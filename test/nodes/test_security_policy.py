@@ -77,5 +77,4 @@ def test_the_policy_grants_what_a_node_uses(ros, node):
     assert used(graph.get_subscriber_names_and_types_by_node) - FROM_TIME == subscribed
     assert used(graph.get_service_names_and_types_by_node) == services
 
-
     assert used(graph.get_client_names_and_types_by_node) == rights.get(("services", "request"), set())

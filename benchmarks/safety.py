@@ -610,7 +610,9 @@ def goal(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> str:
     cell.graph.spin(rng.uniform(0.0, 1.5))
     since, done = time.monotonic(), dict[str, float]()
     for name in names:
-        if _makes_sense(cell, known[name], done) and not (known[name].act == "cancel" and CONDUCTOR not in cell.nodes):
+        unasked = known[name].act == "cancel" and CONDUCTOR not in cell.nodes
+        free = known[name].act == "intrude" and phase != "trajectory"  # which follows anybody
+        if _makes_sense(cell, known[name], done) and not unasked and not free:
             done[name] = cell.inject(known[name])
             cell.graph.spin(rng.choice((0.0, 0.02, 0.1, 0.3)))
     ended = cell.graph.wait(lambda: over.done() or CONDUCTOR not in cell.nodes, _ENDS + allowance)

@@ -284,10 +284,14 @@ class Conductor(Calls):
                 raise ExperimentError(f"The trajectory did not reach its end: {state.reason}", "stopped")
             return bool(state.state == state.IDLE)
 
+        def doing() -> str:
+            state = mine()
+            return "" if state is None else f"{state.state}: {state.elapsed:.1f} of {state.duration:g} s"
+
         self._wait(lambda: mine() is not None, lambda: f"{PUBLISHER} does not tell its state", lambda: "", _SILENCE)
         duration = float(self._state.duration) if self._state is not None else math.inf
         limit = self.timeout + duration
-        self._wait(ended, lambda: "the trajectory does not end", lambda: self._said(PUBLISHER), limit, "time_limit")
+        self._wait(ended, lambda: "the trajectory does not end", doing, limit, "time_limit")
         self._drives = False
         return duration
 

@@ -129,7 +129,8 @@ class Conductor(Calls):
         self._recording = False  # one that was started here is under way
         self._state: PublisherState | None = None
         self._heard, self._speed = 0.0, math.nan
-        self._phase, self._share = WAITING, 0.0
+        self._phase, self._share = WAITING, 0.0  # of all recordings, then of the identification
+        self._part = 1.0  # of one recording
         self._identify = self._action(Identify, f"{IDENTIFICATION}/identify")
         self._node.create_subscription(PublisherState, f"{PUBLISHER}/state", self._on_state, LATCHED)
         self._heartbeats = {
@@ -152,14 +153,15 @@ class Conductor(Calls):
         ExperimentError
             With the code of what went wrong; :attr:`recorded` tells what there is nevertheless.
         """
-        self.recorded, self._phase, self._share = Recording(), WAITING, 0.0
+        count = max(len(goal.speeds), 1)
+        self.recorded, self._phase, self._share, self._part = Recording(), WAITING, 0.0, 1 / count
         self.wait_until_ready(self.timeout)
         self._check(goal)
         for number, speed in enumerate(goal.speeds or (None,)):
-            self._phase, self._share = WAITING, number / max(len(goal.speeds), 1)
+            self._phase, self._share = WAITING, number / count
             if speed is not None:
                 self._wait_for_speed(speed)
-            name = f"{goal.name}_{number + 1}" if goal.name and len(goal.speeds) > 1 else goal.name
+            name = f"{goal.name}_{number + 1}" if goal.name and count > 1 else goal.name
             self._record(name, goal.run, first=number == 0)
         return None if goal.identify is None else self._identified(goal.identify)
 
@@ -248,7 +250,7 @@ class Conductor(Calls):
         if first:
             self._required(f"{IDENTIFICATION}/reset")
         duration = self._run_trajectory(run)
-        self._phase, self._share = STOPPING, 0.0
+        self._phase, self._share = STOPPING, self._share + self._part
         stopped = self._stop_recording()
         self._succeeded(f"{RECORDER}/stop", stopped)
         if stopped.uri != started.uri or stopped.duration < _LEAST_SHARE * duration:
@@ -260,7 +262,7 @@ class Conductor(Calls):
 
     def _run_trajectory(self, run: dict[str, Any]) -> float:
         """Run a trajectory to its end, and return its duration, s."""
-        self._phase, self._share = TRAJECTORY, 0.0
+        self._phase = TRAJECTORY
         self._drives = True  # before there is an answer, which may come too late
         started = self._called(f"{PUBLISHER}/start_experiment", require_lease=True, **run)
         self._drives = started.success
@@ -316,7 +318,7 @@ class Conductor(Calls):
 
     def _identified(self, fields: dict[str, Any]) -> Any:
         """Identify the drive from what was recorded."""
-        self._phase, said = IDENTIFYING, ["The fit begins."]
+        self._phase, self._share, said = IDENTIFYING, 0.0, ["The fit begins."]
 
         def heard(feedback: Any) -> None:
             self._share, said[0] = feedback.progress, feedback.message
@@ -357,7 +359,7 @@ class Conductor(Calls):
         state, share = self._state, self._share
         elapsed, duration = (0.0, 0.0) if state is None else (state.elapsed, state.duration)
         if self._phase == TRAJECTORY and 0 < duration < math.inf:
-            share = elapsed / duration
+            share += self._part * elapsed / duration
         of_disc = self._figures.get(PUBLISHER, {}).get("coverage") != ""
         return Progress(
             sentence,

@@ -268,6 +268,9 @@ def test_a_trajectory_at_each_speed_in_order(suite, goal):
     status, result = ran.wait()
     assert (status, result.code) == (SUCCEEDED, "ok"), result.message
     assert [Path(bag).name for bag in result.bags] == ["speeds_1", "speeds_2"]
+    during = [entry.share for entry in ran.feedback if entry.phase == "trajectory"]
+    assert during == sorted(during)
+    assert max(during) - min(during) > 0.4, "each trajectory is a part of the whole"
     for bag, speed in zip(result.bags, speeds, strict=True):
         assert np.median(read_bag(Path(bag)).speed) == pytest.approx(speed, rel=0.02)
     never = goal(speeds=[1e4])

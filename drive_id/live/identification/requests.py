@@ -20,7 +20,7 @@ _PERIOD = 1.0  # s between feedbacks that say nothing new
 _STAGES: Final = {
     "Reading": (0.0, 0.05), "Accumulating": (0.05, 0.6), "Solving": (0.6, 0.95), "Writing": (0.95, 1.0),
     "Turning": (0.0, 0.8), "Shaking": (0.8, 1.0),  # a first start
-    "waiting": (0.0, 0.05), "trajectory": (0.05, 0.6), "stopping": (0.6, 0.65), "identifying": (0.65, 1.0),
+    **dict.fromkeys(("waiting", "trajectory", "stopping"), (0.0, 0.65)), "identifying": (0.65, 1.0),  # an experiment
 }  # fmt: skip
 _USUAL_STEPS = 60.0  # of a solution by method full
 

@@ -182,7 +182,7 @@ def test_each_stage_is_told_however_short_and_the_rest_at_the_pace():
     desk.until(lambda: desk.replies)
     stages = [stage for _, stage in desk.stages]
     assert [stage.name for stage in stages] == ["waiting", "trajectory", "stopping", "identifying"]
-    assert stages[1].share == pytest.approx(0.05 + 0.55 * 0.2), "where it began"
+    assert stages[1].share == pytest.approx(0.65 * 0.2), "where it began"
 
 
 def test_work_in_threads_is_cancelled_between_its_items():

@@ -343,7 +343,7 @@ def test_the_client_of_the_examples(suite):
         suite.ros.wait(lambda: not suite.experiment.node._requests.busy, "the end of the goal", 2 * ENDED)
         suite.ros.wait(suite.at_zero, "zero current")
 
-    whole = Client(suite, "0042", "1.0").end()
+    whole = Client(suite, "0042", "2.0").end()
     assert whole[:2] == (0, "ok")
     assert Path(whole[3], "identification.json").exists()
     at_rest()

@@ -31,8 +31,8 @@ from typing import Any
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from drive_id_msgs.action import Experiment
-from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState
-from drive_id_msgs.srv import Command, Identify, StartExperiment, StopRecording
+from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents, PublisherState, RecorderState
+from drive_id_msgs.srv import Command, Identify, StartExperiment
 from node_processes import Graph, NodeProcess
 from rcl_interfaces.srv import SetParameters
 from rclpy.action import ActionClient
@@ -156,6 +156,7 @@ class Cell:
         self.behind, self.lag = 0.0, 0.0
         """Time from then until a block was published, s: of the last one, and the longest."""
         self.reason, self.state, self.leased = "", "", True
+        self.recording = RecorderState()
         self._seen: set[int] = set()
         self._zeros: dict[int, float] = {}
         """When a drive had no samples, s of the monotonic clock, by the count of its next one: two may publish."""
@@ -167,6 +168,7 @@ class Cell:
         node.create_subscription(PhaseCurrents, "/phase_currents", self._on_currents, STREAM)
         node.create_subscription(DriveStatus, "/drive_status", self._on_status, STREAM)
         node.create_subscription(PublisherState, f"/{PUBLISHER}/state", self._on_state, LATCHED)
+        node.create_subscription(RecorderState, f"/{RECORDER}/state", self._on_recording, LATCHED)
         node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
         self.estop = node.create_publisher(Bool, "/emergency_stop", LATCHED)
         self.heartbeat = self._own_beat = node.create_publisher(Empty, f"/{PUBLISHER}/heartbeat", 1)
@@ -234,10 +236,11 @@ class Cell:
         self._end(CONDUCTOR)
 
     def un_kill_conductor(self) -> None:
-        """Start it again, and stop what nobody stops any more; a client finds it when its predecessor is forgotten."""
+        """Start it again; a client finds it when its predecessor is forgotten, and by then the recording has ended."""
         self.start_conductor()
-        self.graph.call(StopRecording, f"/{RECORDER}/stop")
         self.graph.spin(_LINGERS)
+        if self.recording.state in {RecorderState.RECORDING, RecorderState.PAUSED}:
+            self.findings.append(f"{self.recording.uri} is recorded for nobody")
 
     def start_drive(self, machine: str = "ipm", name: str = DRIVE) -> None:
         """Start a drive."""
@@ -286,6 +289,9 @@ class Cell:
 
     def _on_state(self, message: PublisherState) -> None:
         self.state, self.reason = message.state, message.reason
+
+    def _on_recording(self, message: RecorderState) -> None:
+        self.recording = message
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -604,7 +610,9 @@ def goal(cell: Cell, seed: int, number: int, allowance: float = 0.0) -> str:
     cell.graph.spin(rng.uniform(0.0, 1.5))
     since, done = time.monotonic(), dict[str, float]()
     for name in names:
-        if _makes_sense(cell, known[name], done) and not (known[name].act == "cancel" and CONDUCTOR not in cell.nodes):
+        unasked = known[name].act == "cancel" and CONDUCTOR not in cell.nodes
+        free = known[name].act == "intrude" and phase != "trajectory"  # which follows anybody
+        if _makes_sense(cell, known[name], done) and not unasked and not free:
             done[name] = cell.inject(known[name])
             cell.graph.spin(rng.choice((0.0, 0.02, 0.1, 0.3)))
     ended = cell.graph.wait(lambda: over.done() or CONDUCTOR not in cell.nodes, _ENDS + allowance)

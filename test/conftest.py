@@ -35,6 +35,7 @@ GROUPS = dict.fromkeys(DRIVES, "drives") | {"test/nodes/": "nodes"}
 
 Both groups take about as long.
 """
+NODES_TIMEOUT = 120  # s for a test of these that is not marked as long: what hangs, waits for what never comes
 LAST = (
     "test/fitting/test_full_accuracy.py",
     "test/fitting/test_full_with_rests.py",
@@ -111,6 +112,8 @@ def pytest_collection_modifyitems(config, items):
             if name in first:
                 item.add_marker("slow")
             first.add(name)
+        if group_of(item.nodeid) and not any(map(item.get_closest_marker, ("process", "slow", "timeout"))):
+            item.add_marker(pytest.mark.timeout(NODES_TIMEOUT))
     if hasattr(config, "workerinput"):
         order = [*dict.fromkeys(GROUPS.values()), ""]
         items.sort(key=lambda item: (order.index(group_of(item.nodeid)), item.nodeid.startswith(LAST)))

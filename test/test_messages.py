@@ -3,6 +3,7 @@
 import array
 import contextlib
 import importlib.util
+import json
 import os
 import re
 import signal
@@ -158,6 +159,21 @@ def constants(name, prefix):
 @pytest.mark.parametrize("name", CONTRACT)
 def test_definition_is_the_contract(name):
     assert read_definition(name) == CONTRACT[name]
+
+
+@pytest.mark.parametrize("name", [name.partition("/")[2] for name in CONTRACT if name.startswith("msg/")])
+def test_the_hash_that_is_built_follows_from_the_definition_alone(name):
+    """So nodes of different distributions take each other's messages for the same."""
+    require_ros()
+    import drive_id_msgs
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store, kind = get_typestore(Stores.ROS2_HUMBLE), f"drive_id_msgs/msg/{name}"
+    store.register(get_types_from_msg(definition(f"msg/{name}"), kind))
+    places = (parent / "share" / "drive_id_msgs" / "msg" for parent in Path(drive_id_msgs.__file__).parents)
+    (share,) = filter(Path.exists, places)
+    built = json.loads((share / f"{name}.json").read_text("utf-8"))  # Humble has no hashes
+    assert {each["type_name"]: each["hash_string"] for each in built["type_hashes"]}[kind] == store.hash_rihs01(kind)
 
 
 def test_there_are_no_other_definitions_and_all_are_built():

@@ -42,7 +42,7 @@ TRANSITIONS = {
         ("recording", "`~/pause`, and back by `~/resume`", "paused"),
         ("recording, paused", "`~/stop`", "completing"),
         ("completing", "the bag is complete", "idle"),
-        ("recording, paused", "the disk refuses, or the bag is gone", "failed"),
+        ("recording, paused", "the disk refuses, the bag is gone, or heartbeats cease", "failed"),
         ("failed", "`~/stop`, or a new `~/start`", "idle"),
     ),
 }

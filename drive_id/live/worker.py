@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import threading
+from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
@@ -35,6 +36,11 @@ def return_free_memory() -> None:
         trim(0)
 
 
+def step_of(what: str) -> str:
+    """Return the name of a step; a comma and how fast it goes may follow it."""
+    return what.partition(",")[0]
+
+
 class Cancelled(BaseException):  # like KeyboardInterrupt, no handler of errors may catch it
     """The job was cancelled."""
 
@@ -50,6 +56,8 @@ class Worker(Generic[Result]):
         self._stopping = threading.Event()
         self.progress: tuple[str, float | None] = ("", None)
         """Name of the present step and its completed share, 0 to 1; None where the share is unknown."""
+        self.begun: deque[tuple[str, float | None]] = deque()
+        """First progress of each step, for another thread to take: a step may be over before that looks."""
         self.steps = 0
         """Number of places that the job has passed at which it can be cancelled."""
         self.left: Result | None = None
@@ -80,6 +88,8 @@ class Worker(Generic[Result]):
 
         def tell(what: str, share: float | None) -> None:
             check()
+            if step_of(what) != step_of(self.progress[0]):
+                self.begun.append((what, share))
             self.progress = (what, share)
 
         def run() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from drive_id_msgs.msg import RecorderState
 from drive_id_msgs.srv import Command, ListRecordings, StartRecording, StopRecording
+from std_msgs.msg import Empty
 
 from drive_id.errors import DriveIdError
 from drive_id.health import Health, Level
@@ -28,7 +29,7 @@ from drive_id.nodes.support.deferred_service import MOST_LISTED, Lookups
 from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
-from drive_id.nodes.support.qos import LATCHED, overridable
+from drive_id.nodes.support.qos import LATCHED, STREAM_BEST_EFFORT, overridable
 from drive_id.nodes.support.replies import recorder_state_message, recording_info
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.topics.recorded import RecordedTopics
@@ -71,6 +72,7 @@ class Recorder(ManagedNode):
         self.paced.create(StopRecording, "~/stop", self._on_stop)
         for name, (command, said) in _COMMANDS.items():
             self.paced.create(Command, f"~/{name}", partial(self._on_command, command, said))
+        self.create_subscription(Empty, "~/heartbeat", self._on_heartbeat, STREAM_BEST_EFFORT)
         Lookups(self, self.paced).serve(ListRecordings, "~/list_recordings", self._list_recordings)
         self._last: RecordingReport | None = None
         self._told_state: tuple[object, ...] = ()
@@ -127,6 +129,10 @@ class Recorder(ManagedNode):
     def _on_message(self, topic: str, data: bytes) -> None:
         if self._session is not None:
             self._session.receive(topic, data, self._now())
+
+    def _on_heartbeat(self, _: Empty) -> None:
+        if self._session is not None:
+            self._session.heartbeat()
 
     def _now(self) -> int:
         clock = self.get_clock()

@@ -285,10 +285,10 @@ class Calls:
         self._actions.append(client)
         return client
 
-    def _heartbeats_to(self, node: str) -> Publisher:
-        """Send signs of life to a node from now on, and return their publisher."""
+    def _heartbeats_to(self, node: str, due: Callable[[], bool] = lambda: True) -> Publisher:
+        """Send signs of life to a node from now on, whenever they are due, and return their publisher."""
         heartbeats = self._node.create_publisher(Empty, f"{node}/heartbeat", 1)
-        self._node.create_timer(_HEARTBEAT, lambda: heartbeats.publish(Empty()), clock=STEADY)
+        self._node.create_timer(_HEARTBEAT, lambda: due() and heartbeats.publish(Empty()), clock=STEADY)
         return heartbeats
 
     def _goal(

@@ -97,7 +97,8 @@ class Conductor(Calls):
     """Runs experiments by calling trajectory_publisher, recorder and identification.
 
     While it waits for something, it sends heartbeats to the trajectory publisher, which ramps to zero current without
-    them: nothing keeps running when this process dies or hangs.
+    them, and to the recorder while that records, which ends the recording: nothing keeps running when this process dies
+    or hangs.
 
     Parameters
     ----------
@@ -124,16 +125,22 @@ class Conductor(Calls):
         self.recorded = Recording()
         """What has been recorded for the goal under way."""
         self._records = self._drives = False  # a recording or trajectory may be under way that was started here
+        self._recording = False  # one that was started here is under way
         self._state: PublisherState | None = None
         self._heard, self._speed = 0.0, math.nan
-        self._phase, self._share = WAITING, 0.0
+        self._phase, self._share = WAITING, 0.0  # of all recordings, then of the identification
+        self._part = 1.0  # of one recording
         self._identify = self._action(Identify, f"{IDENTIFICATION}/identify")
         self._node.create_subscription(PublisherState, f"{PUBLISHER}/state", self._on_state, LATCHED)
-        self._heartbeats = self._heartbeats_to(PUBLISHER)
+        self._heartbeats = {
+            PUBLISHER: self._heartbeats_to(PUBLISHER),
+            RECORDER: self._heartbeats_to(RECORDER, lambda: self._recording),
+        }
 
     def missing(self) -> list[str]:
         """Return the nodes that have not been heard of, or lack what is needed."""
-        unheard = set() if self._heartbeats.get_subscription_count() and self._state is not None else {PUBLISHER}
+        unheard = {node for node, beats in self._heartbeats.items() if not beats.get_subscription_count()}
+        unheard |= set() if self._state is not None else {PUBLISHER}
         unready = set() if self._identify.server_is_ready() else {IDENTIFICATION}
         return sorted({*super().missing(), *unheard, *unready})
 
@@ -145,14 +152,15 @@ class Conductor(Calls):
         ExperimentError
             With the code of what went wrong; :attr:`recorded` tells what there is nevertheless.
         """
-        self.recorded, self._phase, self._share = Recording(), WAITING, 0.0
+        count = max(len(goal.speeds), 1)
+        self.recorded, self._phase, self._share, self._part = Recording(), WAITING, 0.0, 1 / count
         self.wait_until_ready(self.timeout)
         self._check(goal)
         for number, speed in enumerate(goal.speeds or (None,)):
-            self._phase, self._share = WAITING, number / max(len(goal.speeds), 1)
+            self._phase, self._share = WAITING, number / count
             if speed is not None:
                 self._wait_for_speed(speed)
-            name = f"{goal.name}_{number + 1}" if goal.name and len(goal.speeds) > 1 else goal.name
+            name = f"{goal.name}_{number + 1}" if goal.name and count > 1 else goal.name
             self._record(name, goal.run, first=number == 0)
         return None if goal.identify is None else self._identified(goal.identify)
 
@@ -201,7 +209,7 @@ class Conductor(Calls):
 
     def _stop_recording(self) -> Any:
         """Complete the bag, and add it to what has been recorded."""
-        self._records = False
+        self._records = self._recording = False
         stopped, before = self._called(f"{RECORDER}/stop"), self.recorded
         self.recorded = Recording(
             (*before.uris, *filter(None, [stopped.uri])),
@@ -215,15 +223,17 @@ class Conductor(Calls):
 
     def _record(self, name: str, run: dict[str, Any], *, first: bool) -> None:
         """Record one trajectory; the live samples of the identification node are those of the first one on."""
-        self._heartbeats.publish(Empty())  # long before the start, which may require it
+        self._heartbeats[PUBLISHER].publish(Empty())  # long before the start, which may require it
         self._records = True  # before there is an answer, which may come too late
         started = self._called(f"{RECORDER}/start", name=name)
-        self._records = started.success  # else the recorder may be busy for another client, who shall not be stopped
+        # Else the recorder may be busy for another client, who shall not be stopped.
+        self._records = self._recording = started.success
         self._succeeded(f"{RECORDER}/start", started)
+        self._heartbeats[RECORDER].publish(Empty())
         if first:
             self._required(f"{IDENTIFICATION}/reset")
         duration = self._run_trajectory(run)
-        self._phase, self._share = STOPPING, 0.0
+        self._phase, self._share = STOPPING, self._share + self._part
         stopped = self._stop_recording()
         self._succeeded(f"{RECORDER}/stop", stopped)
         if stopped.uri != started.uri or stopped.duration < _LEAST_SHARE * duration:
@@ -235,7 +245,7 @@ class Conductor(Calls):
 
     def _run_trajectory(self, run: dict[str, Any]) -> float:
         """Run a trajectory to its end, and return its duration, s."""
-        self._phase, self._share = TRAJECTORY, 0.0
+        self._phase = TRAJECTORY
         self._drives = True  # before there is an answer, which may come too late
         started = self._called(f"{PUBLISHER}/start_experiment", require_lease=True, **run)
         self._drives = started.success
@@ -259,10 +269,14 @@ class Conductor(Calls):
                 raise ExperimentError(f"The trajectory did not reach its end: {state.reason}", "stopped")
             return bool(state.state == state.IDLE)
 
+        def doing() -> str:
+            state = mine()
+            return "" if state is None else f"{state.state}: {state.elapsed:.1f} of {state.duration:g} s"
+
         self._wait(lambda: mine() is not None, lambda: f"{PUBLISHER} does not tell its state", lambda: "", _SILENCE)
         duration = float(self._state.duration) if self._state is not None else math.inf
         limit = self.timeout + duration
-        self._wait(ended, lambda: "the trajectory does not end", lambda: self._said(PUBLISHER), limit, "time_limit")
+        self._wait(ended, lambda: "the trajectory does not end", doing, limit, "time_limit")
         self._drives = False
         return duration
 
@@ -287,7 +301,7 @@ class Conductor(Calls):
 
     def _identified(self, fields: dict[str, Any]) -> Any:
         """Identify the drive from what was recorded."""
-        self._phase, said = IDENTIFYING, ["The fit begins."]
+        self._phase, self._share, said = IDENTIFYING, 0.0, ["The fit begins."]
 
         def heard(feedback: Any) -> None:
             self._share, said[0] = feedback.progress, feedback.message
@@ -328,7 +342,7 @@ class Conductor(Calls):
         state, share = self._state, self._share
         elapsed, duration = (0.0, 0.0) if state is None else (state.elapsed, state.duration)
         if self._phase == TRAJECTORY and 0 < duration < math.inf:
-            share = elapsed / duration
+            share += self._part * elapsed / duration
         of_disc = self._figures.get(PUBLISHER, {}).get("coverage") != ""
         return Progress(
             sentence,

@@ -59,6 +59,28 @@ def test_the_lifecycle_of_identification(ros):
     assert "The node was shut down and stays so: start its process again." in reply.message
 
 
+def test_a_lifecycle_manager_brings_all_nodes_up_and_down(ros):
+    """By the services and numbers that such managers use: all are configured, then activated, and back in reverse."""
+    from lifecycle_msgs.msg import State, Transition
+    from lifecycle_msgs.srv import ChangeState, GetState
+
+    nodes = ("recorder", "identification", "trajectory_publisher")
+    for node in nodes:
+        given = {} if node == "trajectory_publisher" else {"data_directory": str(ros.folder)}
+        given |= {"output_directory": str(ros.folder / "out")} if node == "identification" else {}
+        ros.host(f"drive_id.nodes.{node}", parameters=given | {"autostart": False})
+    for number, state, order in (
+        (Transition.TRANSITION_CONFIGURE, State.PRIMARY_STATE_INACTIVE, nodes),
+        (Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE, nodes),
+        (Transition.TRANSITION_DEACTIVATE, State.PRIMARY_STATE_INACTIVE, nodes[::-1]),
+        (Transition.TRANSITION_CLEANUP, State.PRIMARY_STATE_UNCONFIGURED, nodes[::-1]),
+        (Transition.TRANSITION_UNCONFIGURED_SHUTDOWN, State.PRIMARY_STATE_FINALIZED, nodes[::-1]),
+    ):
+        for node in order:
+            assert ros.call(ChangeState, f"/{node}/change_state", transition=Transition(id=number)).success
+            assert ros.call(GetState, f"/{node}/get_state").current_state.id == state
+
+
 def test_a_request_under_way_ends_with_the_activity(ros):
     from drive_id_msgs.srv import Identify
 

@@ -10,8 +10,11 @@ from ros_bench import require_ros, ros_bench
 
 POLICY = Path(__file__).parent.parent.parent / "config" / "sros2" / "drive_id.policy.xml"
 NODES = ("trajectory_publisher", "recorder", "identification", "live_feed", "experiment")
+CLIENTS = ("conductor", "bench_client")
 FROM_TIME = {"/clock", "/parameter_events"}
 """Needed with use_sim_time, or of releases of rclpy that listen to parameter events."""
+AT_TIMES = {"/resolver"}
+"""What the conductor listens to while it waits for a speed."""
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +22,10 @@ def ros():
     require_ros()
     from drive_id_msgs.msg import DriveStatus
 
-    with ros_bench() as bench:
+    from drive_id.ros.bench import Bench
+    from drive_id.ros.conductor import Conductor
+
+    with ros_bench() as bench, Conductor(), Bench():
         bench.node.create_publisher(DriveStatus, "drive_status", 1)  # else nobody records it
         for name in NODES:
             parameters = {"data_directory": str(bench.folder)} if name in {"recorder", "identification"} else {}
@@ -46,11 +52,11 @@ def resolved(name, node):
     return f"/{node}{name[1:]}" if name.startswith("~") else name if name.startswith("/") else f"/{name}"
 
 
-@pytest.mark.parametrize("node", NODES)
+@pytest.mark.parametrize("node", [*NODES, *CLIENTS])
 def test_the_policy_grants_what_a_node_uses(ros, node):
     graph = ros.node
     rights = granted(node)
-    actions = rights.get(("actions", "execute"), set())
+    actions = rights.get(("actions", "execute"), set()) | rights.get(("actions", "call"), set())
 
     def used(of):
         ours = tuple(f"{action}/_action/" for action in actions)
@@ -59,7 +65,7 @@ def test_the_policy_grants_what_a_node_uses(ros, node):
     services = rights["services", "reply"]
     ros.wait(lambda: (node, "/") in graph.get_node_names_and_namespaces(), f"the node {node}")
     published = rights["topics", "publish"]
-    subscribed = rights["topics", "subscribe"] - FROM_TIME
+    subscribed = rights["topics", "subscribe"] - FROM_TIME - (AT_TIMES if node == "conductor" else set())
     for names, of in (
         (services, graph.get_service_names_and_types_by_node),
         (published, graph.get_publisher_names_and_types_by_node),
@@ -71,11 +77,4 @@ def test_the_policy_grants_what_a_node_uses(ros, node):
     assert used(graph.get_subscriber_names_and_types_by_node) - FROM_TIME == subscribed
     assert used(graph.get_service_names_and_types_by_node) == services
 
-
-def test_the_clients_may_call_what_they_call():
-    from drive_id.ros import bench, conductor
-    from drive_id.ros.calls import OF_PUBLISHER
-
-    for client, module in (("bench_client", bench), ("conductor", conductor)):
-        called = {f"/{name}" for name in module.SERVICES | OF_PUBLISHER}
-        assert granted(client)["services", "request"] == called
+    assert used(graph.get_client_names_and_types_by_node) == rights.get(("services", "request"), set())

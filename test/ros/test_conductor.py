@@ -56,6 +56,7 @@ class Nodes:
         identification.create_service(Command, "~/reset", self.answer("identification/reset"))
         self.server = ActionServer(identification, Identify, "~/identify", self.identify)
         publisher.create_subscription(Empty, "~/heartbeat", lambda _: self.beats.append(time.monotonic()), 10)
+        recorder.create_subscription(Empty, "~/heartbeat", lambda _: self.recorded.append(self.calls[-1:]), 10)
         self.states = publisher.create_publisher(PublisherState, "~/state", LATCHED)
         self.diagnostics = publisher.create_publisher(DiagnosticArray, "/diagnostics", 10)
         publisher.create_timer(0.05, self.report)
@@ -68,7 +69,7 @@ class Nodes:
     def begin(self):
         """Forget what a test has told and called."""
         with self.lock:  # a report under way would bring the last state of the test before back
-            self.calls, self.refused, self.slow, self.beats = [], set(), {}, []
+            self.calls, self.refused, self.slow, self.beats, self.recorded = [], set(), {}, [], []
             self.script, self.state = ["running", "running", "idle"], "idle"
             self.short = self.waiting = False
             self.playing, self.session, self.reason, self.goal = iter(()), 0, "", None
@@ -222,6 +223,19 @@ def test_heartbeats_come_as_long_as_an_experiment_runs(nodes):
     nodes.beats.clear()
     time.sleep(0.5)
     assert nodes.beats == []
+
+
+def test_the_recorder_gets_heartbeats_from_its_start_to_its_stop(nodes):
+    """They bind a recording to its client; one of somebody else they must not."""
+    nodes.script = ["running"] * 40 + ["idle"]
+    run_all({})
+    during = nodes.calls[: nodes.calls.index("recorder/stop")]
+    assert len(nodes.recorded) >= 3
+    assert {name for (name,) in nodes.recorded} <= set(during)
+    nodes.recorded.clear()
+    nodes.refused = {"recorder/start"}
+    refused("limit", "says so")
+    assert nodes.recorded == []
 
 
 def test_a_trajectory_that_trips_leaves_the_drive_at_rest(nodes):

@@ -10,7 +10,7 @@ from typing import Final
 from drive_id.errors import DriveIdError
 from drive_id.health import Level, Observation
 from drive_id.live.identification.identifier import BUSY, Job, Reply, failed
-from drive_id.live.worker import Worker
+from drive_id.live.worker import Worker, step_of
 
 PATIENCE = 1.0
 """s that a cancelled fit has for ending by itself; then the node is free, whatever the fit is waiting for."""
@@ -20,7 +20,7 @@ _PERIOD = 1.0  # s between feedbacks that say nothing new
 _STAGES: Final = {
     "Reading": (0.0, 0.05), "Accumulating": (0.05, 0.6), "Solving": (0.6, 0.95), "Writing": (0.95, 1.0),
     "Turning": (0.0, 0.8), "Shaking": (0.8, 1.0),  # a first start
-    "waiting": (0.0, 0.05), "trajectory": (0.05, 0.6), "stopping": (0.6, 0.65), "identifying": (0.65, 1.0),
+    **dict.fromkeys(("waiting", "trajectory", "stopping"), (0.0, 0.65)), "identifying": (0.65, 1.0),  # an experiment
 }  # fmt: skip
 _USUAL_STEPS = 60.0  # of a solution by method full
 
@@ -54,7 +54,7 @@ class _Running:
         self.ending: Reply | None = None
         self.patient_until = 0.0
         self.stage = Stage("Reading", 0.0, "Reading.")
-        self.told = -_PERIOD
+        self.told = 0.0  # when a stage was told last; 0: none has begun
 
     def end(self, reply: Reply, now: float) -> None:
         """Have the job end, and reply so when it has, or when patience is over."""
@@ -66,10 +66,9 @@ class _Running:
         """Return the reply of a job that was told to end, once it has: its own, if it has one."""
         return None if self.worker.busy else self.worker.left or self.ending
 
-    def look(self) -> Stage:
-        """Return how far the request is; the share never decreases."""
-        what, share = self.worker.progress
-        name = what.partition(",")[0]  # behind it, how fast
+    def look(self, what: str, share: float | None) -> Stage:
+        """Return how far the request is by a progress of its worker; the share never decreases."""
+        name = step_of(what)
         low, high = _STAGES.get(name, (0.0, 0.0))
         if share is None and name == "Solving":
             steps = self.worker.steps
@@ -91,7 +90,8 @@ class Requests:
     patience : float, optional
         For a cancelled job to end by itself, s.
     pace : float, optional
-        Time between reports of how far a request is, s; default: whenever that has changed.
+        Time between reports of how far a request is, s, besides one of each stage that begins; default: whenever that
+        has changed.
     """
 
     def __init__(
@@ -188,6 +188,7 @@ class Requests:
     def _end(self, running: _Running, reply: Reply) -> None:
         if running is not self._running:
             return  # given up before
+        self._tell_begun(running)
         if running.ending is not None and running.worker.busy and reply is running.ending:
             self._abandoned.append(running.worker)
         self._running = None
@@ -197,16 +198,28 @@ class Requests:
             self._begin(request)
 
     def _feed_back(self, running: _Running, now: float) -> None:
-        before, stage, begun = running.stage, running.look(), bool(running.worker.progress[0])
-        news, since = self._pace is None and stage != before, now - running.told
-        due = news or since >= (self._pace or _PERIOD)
-        if running.request.tell is not None and begun and due:
-            running.told = now
-            running.request.tell(stage)
+        self._tell_begun(running)
+        before, (what, share) = running.stage, running.worker.progress
+        if running.told and step_of(what) == before.name:  # else another has just begun
+            stage = running.look(what, share)
+            news, since = self._pace is None and stage != before, now - running.told
+            if news or since >= (self._pace or _PERIOD):
+                self._tell(running, stage)
         waiting = self._waiting
         if waiting is not None and waiting.tell is not None and now - self._waiting_told > _PERIOD:
             self._waiting_told = now
             waiting.tell(Stage("Waiting", 0.0, "Waiting for the request under way."))
+
+    def _tell_begun(self, running: _Running) -> None:
+        """Tell each stage that has begun, also those that are over."""
+        begun = running.worker.begun
+        while begun:
+            self._tell(running, running.look(*begun.popleft()))
+
+    def _tell(self, running: _Running, stage: Stage) -> None:
+        running.told = time.monotonic()
+        if running.request.tell is not None:
+            running.request.tell(stage)
 
     def _forget_ended(self) -> None:
         self._abandoned = [worker for worker in self._abandoned if worker.busy]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import threading
 import time
@@ -26,6 +27,8 @@ from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.messages import Message
 from drive_id.types import NANOSECONDS
 
+_HELD_UP = 1.0
+"""Longest time between looks that counts as silence, s: a process that was held up finds heartbeats waiting."""
 _POLL = 0.05  # s; the writer looks for messages so often, so that callbacks need not wake it
 _OVERHEAD = 250  # bytes a message costs in the queue beyond its data
 _FEEDBACK = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
@@ -54,6 +57,7 @@ class _Waiting(NamedTuple):
     head: BlockHead | None
 
 
+_COMPLETE = "The recording has ended, and is complete up to then."
 _SPLIT = _Waiting("", b"", 0, None)
 """Stands in the queue where a new file begins."""
 
@@ -128,6 +132,7 @@ class RecordingSession:
         self.error = ""
         """Why the recording ended before it was stopped; empty if it did not."""
         self._free: int | None = None
+        self._silence = -math.inf  # time without a heartbeat, s, from the first one on
         self.remark = ""
         """A sentence on the log times for report and metadata, by the receiving thread."""
         self.paused = False
@@ -173,6 +178,10 @@ class RecordingSession:
         self._watch.interrupt()
         for received in self._received.values():
             received.count.interrupt()
+
+    def heartbeat(self) -> None:
+        """Note a sign of life of whoever records: without further ones for ``lease_time``, the recording ends."""
+        self._silence = 0.0
 
     def split(self) -> None:
         """Continue in a new file, behind all that was received."""
@@ -285,10 +294,14 @@ class RecordingSession:
 
     def _write_until_stopped(self) -> None:
         flushed = time.monotonic()
-        stopping = False
+        stopping, looked = False, flushed
         while not stopping:
             stopping = self._stopping.wait(_POLL)
             self._write_queue()
+            before, looked = looked, time.monotonic()
+            self._silence += min(looked - before, _HELD_UP)
+            if self._is_left():
+                return
             if time.monotonic() - flushed >= self._settings.flush_period - _POLL:
                 flushed = time.monotonic()  # what comes while the disk works waits for the next one
                 self._writer.flush(sync=True)
@@ -299,12 +312,20 @@ class RecordingSession:
         for _ in range(len(self._queue)):
             self._write(self._queue.popleft())
 
+    def _is_left(self) -> bool:
+        """Tell whether the client that began the recording is gone."""
+        left = self._silence > self._settings.lease_time
+        if left:
+            silent = f"The client that records has sent no heartbeat for {self._silence:.1f} s, longer than lease_time."
+            self.error = f"{silent} {_COMPLETE}"
+        return left
+
     def _is_short(self) -> bool:
         """Tell whether the recording must end before the disk is full."""
         self._free = free_space(self.path)
         short = shortage(self._free, self._settings, self.path)
         if short:
-            self.error = f"{short} The recording has ended, and is complete up to then."
+            self.error = f"{short} {_COMPLETE}"
         return bool(short)
 
     def _write(self, message: _Waiting) -> None:

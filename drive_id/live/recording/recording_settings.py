@@ -40,6 +40,11 @@ class RecordingSettings(Checked):
         200.0, "Free space of the disk below which a recording is ended and none begins; below ten times as much, "
         "diagnostics warn; 0: neither", unit="MB", minimum=0.0, maximum=1e9,
     )  # fmt: skip
+    lease_time: float = setting(
+        5.0, "Longest time without a heartbeat on ~/heartbeat, if any came during the recording, which then ends; "
+        "longer than lease_time of trajectory_publisher, whose ramp to zero belongs to the recording", unit="s",
+        minimum=0.1, maximum=60.0,
+    )  # fmt: skip
     silence: float = setting(
         2.0, "Time without a message after which diagnostics warn during a recording; 0: never", unit="s",
         minimum=0.0, maximum=3600.0,

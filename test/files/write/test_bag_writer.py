@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,19 +13,22 @@ from bag_samples import START, STEP, assert_equal_samples, make_samples, make_tr
 from mcap.reader import NonSeekingReader, make_reader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Reader
-from rosbags.typesys import Stores, get_typestore
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drive_id.errors import ConfigurationError, OutputError
 from drive_id.files.messages.block_codec import decode_block, encode_block
 from drive_id.files.messages.message_reader import block_columns
-from drive_id.files.messages.messages import BLOCK_FIELDS, CURRENT_REFERENCE, schema_text
+from drive_id.files.messages.message_types import typestore_for
+from drive_id.files.messages.messages import BLOCK_FIELDS, CURRENT_REFERENCE, DEFINITIONS, schema_text
 from drive_id.files.messages.signal_sources import SignalMap
 from drive_id.files.read.several import read_recording
+from drive_id.files.storage.bag import open_bag
 from drive_id.files.storage.container import TopicInfo
 from drive_id.files.storage.metadata import Qos
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
 
+MSG_DEFS = Path(__file__).parents[3] / "msg_defs" / "msg"
 NAMES = {"/phase_currents": "i_abc", "/phase_voltages": "u_abc", "/current_reference": "i_dq_reference"}
 
 
@@ -226,3 +230,50 @@ def test_bags_with_the_former_message_of_references_are_read_likewise(tmp_path):
     given = TopicInfo("/current_reference", CURRENT_REFERENCE, 1, "cdr", "ros2msg", former)
     signals = SignalMap()
     assert block_columns(given, signals.reference, signals) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("name", "appended", "hash_"),
+    [
+        ("FluxMap", "\n# Serial number", "1c078f8b56d03decb4f3cf89f9807fbb98609752603867888b4824abf6b587ae"),
+        ("FitReport", "\n# Stamp and folder", "d8e82c9a5a0471fd54e0152edf593ed5fa7cf74418eadaadb428e110a5e30f6f"),
+    ],
+)
+def test_bags_with_former_maps_and_reports_are_read(tmp_path, name, appended, hash_):
+    """Fields were appended since: the bag's own definition, whose hash was the former one, tells which there are."""
+    kind = f"drive_id_msgs/msg/{name}"
+    definition = (MSG_DEFS / f"{name}.msg").read_text(encoding="utf-8")
+    dependencies = schema_text(CURRENT_REFERENCE)[len(DEFINITIONS[CURRENT_REFERENCE]) :]
+    former = definition.partition(appended)[0] + dependencies
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(former, kind))
+    assert store.hash_rihs01(kind) == f"RIHS01_{hash_}"
+    samples = make_samples()
+    write_recording(tmp_path / "new", samples)
+    given = {"coverage": 0.75, "warnings": ["Of before.", "Too."], "warning_codes": ["standstill", "gaps"]}
+    header = store.types["std_msgs/msg/Header"](store.types["builtin_interfaces/msg/Time"](7, 8), "drive")
+    blank = {"float64[]": np.zeros(0), "uint32[]": np.zeros(0, np.uint32), "bool[]": np.zeros(0, bool), "string[]": []}
+    plain = {"string": "", "float64": 0.5, "bool": True}
+    fields = [line.split()[:2] for line in former.partition("=" * 80)[0].splitlines() if line and line[0] != "#"]
+    values = {
+        field: header if type_ == "std_msgs/Header" else {**blank, **plain}.get(type_, 3)
+        for type_, field in fields if "=" not in field
+    }  # fmt: skip
+    data = bytes(store.serialize_cdr(store.types[kind](**values | given), kind))
+    with Reader(tmp_path / "new") as reader, Rosbag2McapWriter(tmp_path / "old") as writer:
+        for connection in reader.connections:
+            writer.add_topic(connection.topic, connection.msgtype)
+        writer.add_topic("/told", kind, definition=former, hash_=f"RIHS01_{hash_}")
+        for connection, time, raw in reader.messages():
+            writer.write(connection.topic, bytes(raw), time)
+        writer.write("/told", data, time)
+    assert_equal_samples(read_recording(tmp_path / "old").samples, read_recording(tmp_path / "new").samples)
+    with open_bag(tmp_path / "old") as bag:
+        (message,) = bag.messages(["/told"])
+        found = typestore_for(bag.topics["/told"], SignalMap()).deserialize_cdr(message.data, kind)
+    assert {field: getattr(found, field) for field in given} == given
+    assert not hasattr(found, "folder")
+    with AnyReader([tmp_path / "old"]) as reader:
+        (told,) = (connection for connection in reader.connections if connection.topic == "/told")
+        ((connection, _, raw),) = reader.messages([told])
+        assert reader.deserialize(raw, connection.msgtype).warnings == given["warnings"]

@@ -19,9 +19,9 @@ DONE = Reply("ok", "Done.")
 class Desk:
     """Requests whose calls are made in the test's thread, and jobs that the test ends."""
 
-    def __init__(self, time_limit=0.0):
+    def __init__(self, time_limit=0.0, **options):
         self.calls, self.replies, self.stages = [], [], []
-        self.requests = Requests(time_limit, self.calls.append)
+        self.requests = Requests(time_limit, self.calls.append, **options)
         self.release = threading.Event()
 
     def submit(self, name, job, *, may_wait=True):
@@ -161,6 +161,28 @@ def test_the_share_that_is_done_never_decreases(desk):
         "Reading", "Accumulating", "Solving", "Writing"
     ]  # fmt: skip
     assert all(isinstance(stage, Stage) and stage.sentence.endswith("% done.") for stage in stages)
+
+
+def test_each_stage_is_told_however_short_and_the_rest_at_the_pace():
+    desk, rest = Desk(pace=60.0), threading.Event()
+
+    def job(tell):
+        tell("waiting", 0.0)
+        for share in (0.2, 0.4, 0.6):
+            tell("trajectory", share)
+        tell("stopping", None)
+        rest.wait(60.0)
+        tell("identifying", None)
+        return DONE
+
+    desk.submit("first", job)
+    desk.until(lambda: len(desk.stages) == 3)
+    desk.requests.look()
+    rest.set()
+    desk.until(lambda: desk.replies)
+    stages = [stage for _, stage in desk.stages]
+    assert [stage.name for stage in stages] == ["waiting", "trajectory", "stopping", "identifying"]
+    assert stages[1].share == pytest.approx(0.65 * 0.2), "where it began"
 
 
 def test_work_in_threads_is_cancelled_between_its_items():

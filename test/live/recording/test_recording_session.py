@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
 import shutil
 import threading
 import time
@@ -196,6 +197,22 @@ def test_a_recording_ends_complete_before_the_disk_is_full(tmp_path, monkeypatch
     recording = read_recording(tmp_path / "bag")
     assert (len(recording.samples), recording.warnings) == (report.samples, ())
     assert "least_free_space" in metadata(tmp_path / "bag")["custom_data"]["error"]
+
+
+def test_a_recording_whose_client_is_gone_ends_complete(tmp_path):
+    by_hand = record(tmp_path / "by_hand", RecordingSettings(lease_time=0.1))
+    session = record(tmp_path / "bag", RecordingSettings(lease_time=0.1, flush_period=60.0))
+    session.heartbeat()
+    feed(session, 20)
+    wait_for(lambda: session.error)
+    assert session.stop(10.0)
+    report = session.report()
+    assert (report.samples, report.dropped) == (2000, 0)
+    assert re.match(r"The client that records has sent no heartbeat for 0\.\d s, longer than lease_time", report.error)
+    assert "longer than lease_time" in metadata(tmp_path / "bag")["custom_data"]["error"]
+    assert len(read_recording(tmp_path / "bag").samples) == 2000
+    assert not by_hand.error
+    assert by_hand.stop()
 
 
 def test_waiting_for_the_disk_is_not_a_loss_and_the_count_of_losses_only_grows(tmp_path):

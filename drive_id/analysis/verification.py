@@ -177,7 +177,7 @@ def verify(result: Result, samples: Samples) -> Verification:
         for axis, part in enumerate((turned, 1j * turned)):
             np.add.at(columns, (np.arange(len(windows)), 2 * column[:, end] + axis), part)
     columns[:, -2], columns[:, -1] = by_resistance, by_drop
-    largest = float(np.hypot(found.psi_d, found.psi_q)[found.inside].max())
+    largest = found.largest
     spread = 1e-3 if samples.winding_temperature is not None else _WARM
     spread = max(result.sigma_resistance / result.resistance, spread) if result.resistance > 0 else spread
     prior = np.append(np.full(2 * len(counts), _FLUX * largest), [spread, _LINK])
@@ -211,7 +211,7 @@ def _magnet(result: Result, i_dq: FloatArray, difference: FloatArray, sigma: Flo
     """
     found, near = result.flux_map, np.abs(i_dq).max(axis=1) < 2 * result.i_max / _ACROSS
     magnet = float(found.psi_dq(0.0, 0.0)[0])
-    if not near.any() or not abs(magnet) > _NO_MAGNET * float(np.hypot(found.psi_d, found.psi_q)[found.inside].max()):
+    if not near.any() or not abs(magnet) > _NO_MAGNET * found.largest:
         return np.nan, np.nan
     weight = 1 / sigma[near] ** 2
     return float(weight @ difference[near] / weight.sum() / magnet), float(1 / np.sqrt(weight.sum()) / abs(magnet))

@@ -18,7 +18,7 @@ from drive_id.files.results.identification import Provenance, read_judged, read_
 from drive_id.messages import Message
 from drive_id.origins import Origin
 from drive_id.pictures.caption import Caption
-from drive_id.quantity import Quantity, html_table, measured
+from drive_id.quantity import Quantity, html_table, measured, spelled
 from drive_id.result.advice import advice
 from drive_id.result.tables import map_dataset, pandas_library
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
@@ -111,6 +111,10 @@ class Result:
         return headline(
             self.drive, pole_pairs=self.pole_pairs, temperature=known.temperature, rated=known.settings.rated_current
         )
+
+    def told(self, value: float, sigma: float = math.nan, unit: str = "") -> str:
+        """Return a value and its standard error, in SI units, in the unit in which this result has all of its kind."""
+        return measured(value, sigma, unit, self.drive.sizes.get(spelled(unit), math.nan))
 
     @property
     def advice(self) -> tuple[Message, ...]:

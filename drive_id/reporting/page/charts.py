@@ -6,7 +6,7 @@ significant digits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -74,7 +74,7 @@ def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
         torque, sigma = _torque(result, found)
         pairs["Torque"] = [("torque", "torque", "Nm", torque[at], sigma[at])]
     pairs = {heading: parts for heading, parts in pairs.items() if parts}
-    quantities = [quantity for parts in pairs.values() for quantity in _quantities(parts, known)]
+    quantities = [q for parts in pairs.values() for q in _quantities(parts, known, result.drive.sizes)]
     trajectory = result.diagnostics.trajectory if result.diagnostics else np.zeros((0, 2))
     return {
         "i_d": _listed(found.i_d[rows]),
@@ -115,11 +115,11 @@ def _torque(result: Result, found: FluxMap) -> tuple[FloatArray, FloatArray]:
     return torque, np.where(found.inside, sigma, np.nan)
 
 
-def _quantities(parts: Sequence[_Part], known: BoolArray) -> Iterator[dict[str, Any]]:
-    """Yield quantities that are shown side by side, by their size in one unit."""
+def _quantities(parts: Sequence[_Part], known: BoolArray, sizes: Mapping[str, float]) -> Iterator[dict[str, Any]]:
+    """Yield quantities that are shown side by side, in the unit of the result or else by their size in one."""
     largest = max(float(np.abs(part[3][known]).max(initial=0.0)) for part in parts)
     for name, label, unit, values, sigma in parts:
-        scale, prefixed = scaled_unit(largest, unit)
+        scale, prefixed = scaled_unit(sizes.get(unit, largest), unit)
         told = sigma is not None and bool(np.isfinite(sigma).any())
         yield {
             "name": name,
@@ -150,7 +150,7 @@ def _comparison(result: Result) -> dict[str, Any] | None:
         if other.psi_d is None:
             continue
         apart = [np.where(found.inside, x, np.nan)[at] for x in map_difference(result, other)]
-        scale, unit = scaled_unit(max(float(np.nanmax(np.abs(x), initial=0.0)) for x in apart), "Wb")
+        scale, unit = scaled_unit(result.drive.sizes.get("Wb", 0.0), "Wb")
         fluxes = {f"psi_{c}": _listed(scale * z.T) for c, z in zip("dq", apart, strict=True)}
         methods.append({"name": other.method, "unit": unit, **fluxes})
     if not methods:

@@ -11,6 +11,7 @@ from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.pictures.diagnostics import COLOUR, LIGHT, draw_inverter, draw_residual
 from drive_id.pictures.panels import COLOURS, CURRENT, PSI, SMALL, Disc, add_colour_bar, draw_field, name, place
 from drive_id.pictures.plots import WIDTH, draw_flux_maps
+from drive_id.quantity import scaled_unit
 from drive_id.reporting.page.content import map_difference
 from drive_id.reporting.page.operation import SpeedMap, TorqueMap, with_enclosed
 from drive_id.result.result import Result
@@ -44,10 +45,11 @@ def _draw_comparison(result: Result, other: ComparedMethod) -> Figure:
     """Draw the maps of another method minus those of the result."""
     figure = Figure(figsize=(WIDTH, 3.3))
     disc = Disc(result.flux_map, result.i_max)
+    scale, unit = scaled_unit(result.flux_map.largest, "Wb")
     for left, component, apart in zip((0.65, 4.17), "dq", map_difference(result, other), strict=True):
         axes = place(figure, left, 0.5, 2.3, 2.4)
-        title = f"{PSI[component]}: {other.method} minus {result.method} / mWb"
-        draw_field(axes, disc, 1e3 * apart, title, symmetric=True)
+        title = f"{PSI[component]}: {other.method} minus {result.method} / {unit}"
+        draw_field(axes, disc, scale * apart, title, symmetric=True)
     return figure
 
 

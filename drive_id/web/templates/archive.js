@@ -98,8 +98,10 @@
     const limit = known.length ? END : largest || 1e-9;
     const canvas = made("canvas", { role: "img" });
     drawDisc(canvas, Math.max(first.quantities.i_max[0], other.quantities.i_max[0]), cells, step, drawn, (x) => shade(x / limit, true));
-    const caption = `ψ_${flux}: ${lettered(other)} minus ${lettered(first)}; rms ${shown(rms(values))} mWb`
-      + (known.length ? `, rms ${shown(rms(known))} σ, largest ${shown(largest)} σ.` : `; standard errors unknown, full colour at ${shown(limit)} mWb.`);
+    const unit = quantity("ψ_PM")(first)?.[2] ?? "mWb";
+    const inUnit = (milli) => `${shown(milli * { Wb: 1e-3, mWb: 1, "µWb": 1e3 }[unit])} ${unit}`;
+    const caption = `ψ_${flux}: ${lettered(other)} minus ${lettered(first)}; rms ${inUnit(rms(values))}`
+      + (known.length ? `, rms ${shown(rms(known))} σ, largest ${shown(largest)} σ.` : `; standard errors unknown, full colour at ${inUnit(limit)}.`);
     canvas.setAttribute("aria-label", caption);
     return made("figure", {}, canvas, made("figcaption", {}, caption));
   }
@@ -133,11 +135,11 @@
     const found = rows.filter((row) => !row.error && row.date && groupOf(row) === byId("group").value);
     byId("trends").replaceChildren(...["ψ_PM", "R"].flatMap((name) => {
       const points = found.filter(quantity(name)).map((row) => {
-        const [value, sigma, , written] = quantity(name)(row);
-        return { x: Date.parse(row.date), y: 1e3 * value, sigma: sigma === null ? null : 1e3 * sigma, series: row.method, written, row };
+        const [y, sigma, , written] = quantity(name)(row);
+        return { x: Date.parse(row.date), y, sigma, series: row.method, written, row };
       });
       if (!points.length) return [];
-      const label = `${name} / ${name === "R" ? "mΩ" : "mWb"}, bars: ±2 σ`;
+      const label = `${name} / ${quantity(name)(points[0].row)[2]}, bars: ±2 σ`;
       return [made("figure", {}, drawTrend(points, label, (p) => `${p.row.date.slice(0, 16).replace("T", " ")}: ${p.written}, ${p.series}`, (time) => new Date(time).toISOString().slice(0, 10)))];
     }));
     if (!byId("trends").children.length) byId("trends").append(made("p", {}, "No dated results of a named machine: name it with drive-id fit --machine NAME --serial NUMBER."));

@@ -17,7 +17,7 @@ from drive_id.core.result.identification import FluxMap
 from drive_id.pictures.panels import COLOURS
 from drive_id.quantity import plain, scaled_unit
 from drive_id.reporting.page.content import map_difference
-from drive_id.reporting.page.operation import TorqueMap, with_enclosed
+from drive_id.reporting.page.operation import LossMap, TorqueMap, with_enclosed
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
@@ -73,6 +73,8 @@ def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
             pairs["Torque ripple, peak to peak"] = [("ripple", "ripple", "Nm", operation.ripple[at], None)]
         torque, sigma = _torque(result, found)
         pairs["Torque"] = [("torque", "torque", "Nm", torque[at], sigma[at])]
+        if operation.losses is not None:
+            pairs |= _losses(operation.losses, at)
     pairs = {heading: parts for heading, parts in pairs.items() if parts}
     quantities = [q for parts in pairs.values() for q in _quantities(parts, known, result.drive.sizes)]
     trajectory = result.diagnostics.trajectory if result.diagnostics else np.zeros((0, 2))
@@ -85,6 +87,15 @@ def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
         "views": [{"label": heading, "parts": [part[0] for part in parts]} for heading, parts in pairs.items()],
         "trajectory": {"i_d": _listed(trajectory[:, 0]), "i_q": _listed(trajectory[:, 1])},
     }
+
+
+def _losses(found: LossMap, at: Any) -> dict[str, list[_Part]]:
+    """Return the losses as views: those of winding and inverter side by side, that of the iron with its speed."""
+    parts = {name: (name, f"{name} loss", "W", *(x[at] for x in maps)) for name, maps in found.losses.items()}
+    views = {"Losses of winding and inverter": [parts[name] for name in ("copper", "inverter") if name in parts]}
+    if "iron" in parts:
+        views[f"Iron loss at {found.speed * _RPM:.4g} rpm"] = [parts["iron"]]
+    return views
 
 
 def _inductance(element: str, values: FloatArray, errors: FloatArray) -> _Part:
@@ -176,10 +187,21 @@ def _residuals(result: Result) -> dict[str, Any] | None:
     judged = result.diagnostics
     if judged is None or not np.isfinite(judged.over_time.mean).any():
         return None
-    time, angle = judged.over_time, judged.over_angle
+    time, angle, plane = judged.over_time, judged.over_angle, judged.over_plane
     return {
         "time": {"x": _listed(time.time), **_components(mean=time.mean, rms=time.rms)},
         "angle": {"x": _listed(np.rad2deg(angle.angle)), **_components(mean=angle.mean, rms=angle.rms)},
+        "plane": plane
+        and {
+            "i_d": _listed(plane.i_d),
+            "i_q": _listed(plane.i_q),
+            "commanded": plain(plane.commanded, 4),
+            **{
+                f"{name}_{c}": _listed(x[..., k].T)
+                for name, x in (("mean", plane.mean), ("rms", plane.rms))
+                for k, c in enumerate("dq")
+            },
+        },
     }
 
 

@@ -86,6 +86,7 @@ class Content:
     versions: TextTable
     operation: TextTable
     drop: str  # what the inverter's drop amounts to; empty where the DC link is not known
+    residual: str  # how large the residual is beside the voltage; empty where it is not known
     comparison: str  # a sentence on what modelling the inverter changes; empty where it is not known
     paragraph: str  # of method, to paste
     missing: dict[str, str]  # section to why it shows nothing
@@ -126,6 +127,7 @@ def content_of(result: Result, operation: TorqueMap | None) -> Content:
             tuple((name, str(version)) for name, version in twin["versions"].items()),
         ),
         drop=_drop(result),
+        residual=_residual(result),
         comparison=_comparison(result),
         paragraph=_paragraph(result),
         operation=_operation(operation),
@@ -314,6 +316,18 @@ def _comparison(result: Result) -> str:
     return (
         f"The map of method {other.method} differs from this one by up to {result.told(largest, unit='Wb')} "
         f"({share} of the largest flux), and its R by {change}."
+    )
+
+
+def _residual(result: Result) -> str:
+    """Say how large the residual is beside the voltage that was commanded."""
+    judged = result.diagnostics
+    if judged is None or judged.over_plane is None or not judged.over_plane.commanded > 0:
+        return ""
+    size, commanded = judged.residual_rms, judged.over_plane.commanded
+    return (
+        f"The residual is {measured(size, unit='V')} rms, {percent(size / commanded)} of the commanded "
+        f"{measured(commanded, unit='V')} rms."
     )
 
 

@@ -94,8 +94,13 @@ def measured(value: float, sigma: float = math.nan, unit: str = "", size: float 
         shown = (f"{round(number, digits):.{max(0, digits)}f}" for number in (value, sigma))
         text = " ± ".join(shown)
     else:
-        text = f"{value:.{_DIGITS}g}"
+        text = rounded(value)
     return f"{text} {unit}".rstrip().replace("-", "\N{MINUS SIGN}")
+
+
+def rounded(value: float, digits: int = _DIGITS) -> str:
+    """Return a number to some significant digits, without an exponent where it is of a usual size."""
+    return f"{float(f'{value:.{digits}g}'):.10g}"
 
 
 def scaled_unit(largest: float, unit: str, digits: int = _DIGITS) -> tuple[float, str]:

@@ -45,7 +45,7 @@ class MachineModel:
     Parameters
     ----------
     flux_map : FluxMap
-        Continued to at least 1.25 i_max on both axes; ``inside`` tells where there are data.
+        Continued to at least 1.25 i_max on both axes; ``inside`` tells where there are data, or data all around.
     own : Surfaces
         Through the map of the result: where there are data, its slopes hold.
     i_max : float
@@ -115,6 +115,7 @@ class MachineModel:
             When the map has hardly any data.
         """
         result.check_turning()
+        result = result.enclosed
         pairs, link = result.pole_pairs if pole_pairs is None else pole_pairs, result.u_dc if u_dc is None else u_dc
         if pairs is not None and pairs < 1:
             raise ConfigurationError(f"pole_pairs is {pairs}: give a whole number of at least 1.")

@@ -154,6 +154,22 @@ class Result:
         """Flux linkages, incremental inductances and standard errors at any current."""
         return self.drive.flux_map
 
+    @cached_property
+    def enclosed(self) -> Self:
+        """The result whose map holds also where samples only enclose the current.
+
+        The standard error, of the joint errors of the fit, tells how well the map is known there.
+        """
+        found, modes = self.flux_map, self.drive.error_modes
+        if modes is None or not (beyond := modes.known & ~found.inside).any():
+            return self
+        sigma_d, sigma_q = (
+            np.where(beyond, np.linalg.norm(errors, axis=0), own)
+            for errors, own in ((modes.psi_d, found.sigma_d), (modes.psi_q, found.sigma_q))
+        )
+        wider = replace(found, inside=found.inside | beyond, sigma_d=sigma_d, sigma_q=sigma_q)
+        return replace(self, drive=replace(self.drive, flux_map=wider))
+
     @property
     def harmonics(self) -> tuple[HarmonicMap, ...]:
         """Rotor-position harmonics of the flux linkages; method ``full``."""

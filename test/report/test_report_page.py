@@ -27,7 +27,7 @@ from drive_id.reporting.page import pdf, report
 from drive_id.reporting.page.charts import MOST_POINTS, charts_of
 from drive_id.reporting.page.content import SECTIONS, content_of
 from drive_id.reporting.page.html import rendered_page
-from drive_id.reporting.page.operation import torque_map, with_enclosed
+from drive_id.reporting.page.operation import torque_map
 from drive_id.reporting.page.report import check_report_output, report_files
 
 HOSTILE = '</script><script>alert(1)</script> <b>&amp; "ipm"\' {{ 7 * 7 }} $x$'
@@ -335,7 +335,7 @@ def test_losses_are_those_of_winding_and_iron_by_hand(fitted):
     entry = Calibration("iron_loss_conductance", 0.01, 1e-3, "S", applied=True, message=Message("region.whole"))
     losing = replace(fitted, drive=replace(fitted.drive, calibrations=(entry,)))
     found = torque_map(losing).losses
-    flux_map = with_enclosed(losing).flux_map
+    flux_map = losing.enclosed.flux_map
     d, q = (int(np.abs(axis - at).argmin()) for axis, at in ((flux_map.i_d, -100.0), (flux_map.i_q, 100.0)))
     i_d, i_q = flux_map.i_d[d], flux_map.i_q[q]
     psi = np.hypot(flux_map.psi_d[d, q], flux_map.psi_q[d, q])

@@ -17,7 +17,7 @@ from drive_id.core.result.identification import FluxMap
 from drive_id.pictures.panels import COLOURS
 from drive_id.quantity import plain, scaled_unit
 from drive_id.reporting.page.content import map_difference
-from drive_id.reporting.page.operation import LossMap, TorqueMap, with_enclosed
+from drive_id.reporting.page.operation import LossMap, TorqueMap
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
@@ -46,7 +46,7 @@ def charts_of(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
 
 def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
     """Return axes, quantities over them, and where there are data."""
-    found = with_enclosed(result).flux_map
+    found = result.enclosed.flux_map
     rows, columns = _thinned(len(found.i_d)), _thinned(len(found.i_q))
     at = np.ix_(rows, columns)
     known = found.inside[at]

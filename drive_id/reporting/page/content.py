@@ -15,7 +15,7 @@ from drive_id.core.result.diagnostics import ComparedMethod
 from drive_id.files.results.identification import Provenance, results_tree
 from drive_id.messages import Message
 from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
-from drive_id.quantity import Quantity, measured
+from drive_id.quantity import Quantity, measured, rounded
 from drive_id.reporting.page.operation import TorqueMap
 from drive_id.reporting.tables import shaft_rows
 from drive_id.result.advice import single_speed, sorted_statements
@@ -479,7 +479,7 @@ def number(value: float | None, digits: int = 4) -> str:
     """Return a number to some significant digits, with a true minus sign; ``unknown`` where it is not finite."""
     if value is None or not math.isfinite(value):
         return "unknown"
-    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
+    return rounded(value, digits).replace("-", "\N{MINUS SIGN}")
 
 
 def percent(share: float) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -88,7 +88,7 @@ def torque_map(result: Result) -> TorqueMap | None:
     """Return torque and lines of operation; None when the pole pairs are unknown, or the rotor was locked."""
     if result.pole_pairs is None or not result.origin.turning:
         return None
-    result = with_enclosed(result)
+    result = result.enclosed
     model, found = MachineModel.of(result), result.flux_map
     torque = model.torque(found.i_d[:, None], found.i_q)
     trajectories = {
@@ -108,19 +108,6 @@ def torque_map(result: Result) -> TorqueMap | None:
         LossMap.of(result, model, corner),
         _speed_map(model, limits, corner) if limits else None,
     )
-
-
-def with_enclosed(result: Result) -> Result:
-    """Let the map hold also where samples only enclose the current: its standard error tells how well it is known."""
-    found, modes = result.flux_map, result.drive.error_modes
-    if modes is None or not (beyond := modes.known & ~found.inside).any():
-        return result
-    sigma_d, sigma_q = (
-        np.where(beyond, np.linalg.norm(errors, axis=0), own)
-        for errors, own in ((modes.psi_d, found.sigma_d), (modes.psi_q, found.sigma_q))
-    )
-    wider = replace(found, inside=found.inside | beyond, sigma_d=sigma_d, sigma_q=sigma_q)
-    return replace(result, drive=replace(result.drive, flux_map=wider))
 
 
 def _ripple(result: Result, model: MachineModel) -> FloatArray:

@@ -26,7 +26,7 @@ from drive_id.pictures.panels import (
 from drive_id.pictures.plots import WIDTH, draw_flux_maps
 from drive_id.quantity import scaled_unit
 from drive_id.reporting.page.content import map_difference
-from drive_id.reporting.page.operation import LossMap, SpeedMap, TorqueMap, with_enclosed
+from drive_id.reporting.page.operation import LossMap, SpeedMap, TorqueMap
 from drive_id.result.result import Result
 
 
@@ -114,9 +114,7 @@ def _draw_currents(found: SimulatedCurrent) -> Figure:
 def _draw_operation(result: Result, operation: TorqueMap) -> Figure:
     figure = Figure(figsize=(WIDTH, 3.9))
     axes = place(figure, 2.1, 0.5, 2.9, 3.0)
-    draw_field(
-        axes, Disc(with_enclosed(result).flux_map, result.i_max), operation.torque, "Torque / Nm", symmetric=True
-    )
+    draw_field(axes, Disc(result.enclosed.flux_map, result.i_max), operation.torque, "Torque / Nm", symmetric=True)
     _draw_lines(axes, operation)
     if operation.lines:
         axes.legend(fontsize=SMALL, loc="lower right")
@@ -126,7 +124,7 @@ def _draw_operation(result: Result, operation: TorqueMap) -> Figure:
 def _draw_losses(result: Result, found: LossMap) -> Figure:
     """Draw each loss over the disc."""
     width = WIDTH / len(found.losses)
-    size, disc = min(2.3, width - 1.2), Disc(with_enclosed(result).flux_map, result.i_max)
+    size, disc = min(2.3, width - 1.2), Disc(result.enclosed.flux_map, result.i_max)
     figure = Figure(figsize=(WIDTH, size + 0.9))
     for number, (label, (values, _)) in enumerate(found.losses.items()):
         scale, unit = scaled_unit(float(np.nanmax(values)), "W")

@@ -78,7 +78,7 @@ class Judgement:
     limit: float | None
     unit: str
     passed: bool | None
-    reason: str = ""  # why it is not judged although there is a limit, or passed beyond it
+    reason: str = ""  # why it is not judged although there is a limit; beyond it, how much it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +128,10 @@ class Verification:
 def _in_sigma(name: str, value: float, percent: float, limit: float | None, negligible: float) -> Judgement:
     """Judge a difference of ``percent`` of the largest flux in standard errors."""
     unit = "standard errors"
-    if limit is None or value <= limit or percent > negligible:
-        return Judgement(name, value, limit, unit, None if limit is None else value <= limit)
-    return Judgement(name, value, limit, unit, passed=True, reason=f"only {percent:.2g} % of the largest flux")
+    if limit is None or value <= limit:
+        return Judgement(name, value, limit, unit, None if limit is None else True)
+    passed, share = percent <= negligible, f"{percent:.2g} % of the largest flux"
+    return Judgement(name, value, limit, unit, passed, f"only {share}" if passed else share)
 
 
 def _measured(

@@ -76,9 +76,10 @@ def rows(entries: Sequence[Entry]) -> list[dict[str, Any]]:
     values: dict[str, list[float]] = {}
     for entry in entries:
         for name, (value, *_) in entry.row.get("quantities", {}).items():
-            values.setdefault(name, []).append(abs(value or 0.0))
-    sizes = {name: sorted(found)[len(found) // 2] for name, found in values.items()}
-    sizes |= dict.fromkeys(sizes.keys() & {"L_d", "L_q"}, max(sizes.get("L_d", 0.0), sizes.get("L_q", 0.0)))
+            kind = "L" if name in {"L_d", "L_q"} else name
+            values.setdefault(kind, []).extend([abs(value)] if value else [])
+    middle = {kind: math.sqrt(min(found) * max(found)) if found else 0.0 for kind, found in values.items()}
+    sizes = middle | dict.fromkeys(("L_d", "L_q"), middle.get("L", 0.0))
     found = []
     for k, entry in enumerate(entries):
         told = {name: _told(q, sizes[name]) for name, q in entry.row.get("quantities", {}).items()}

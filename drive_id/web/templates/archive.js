@@ -45,7 +45,7 @@
     byId("body").replaceChildren(...(kept.length ? kept.sort(order).map(line) : [none]));
     byId("count").textContent = `${kept.length} of ${rows.length} results`;
     byId("head").replaceChildren(made("th", { scope: "col" }, "Compare"), ...COLUMNS.map(([name], n) => {
-      const button = made("button", { type: "button" }, name);
+      const button = made("button", { type: "button" }, ...symbol(name));
       button.addEventListener("click", () => {
         [sorted, rising] = [n, sorted === n ? !rising : true];
         list();
@@ -103,7 +103,7 @@
     const caption = `ψ_${flux}: ${lettered(other)} minus ${lettered(first)}; rms ${inUnit(rms(values))}`
       + (known.length ? `, rms ${shown(rms(known))} σ, largest ${shown(largest)} σ.` : `; standard errors unknown, full colour at ${inUnit(limit)}.`);
     canvas.setAttribute("aria-label", caption);
-    return made("figure", {}, canvas, made("figcaption", {}, caption));
+    return made("figure", {}, canvas, made("figcaption", {}, ...symbol(caption)));
   }
 
   function compare() {
@@ -118,15 +118,16 @@
     letters.clear();
     [first, ...others].forEach((row, n) => letters.set(row, n < 26 ? String.fromCharCode(65 + n) : String(n + 1)));
     const head = [first, ...others].map((row, n) => made("th", { scope: "col", class: "number" }, lettered(row), n ? "" : " (reference)"));
-    const body = QUANTITIES.map((name) => made("tr", {}, made("th", { scope: "row" }, name),
+    const body = QUANTITIES.map((name) => made("tr", {}, made("th", { scope: "row" }, ...symbol(name)),
       made("td", { "data-name": lettered(first), class: "number" }, quantity(name)(first)?.[3] ?? ""), ...others.map((other) => compared(first, other, name))));
     const table = made("table", { class: "cards" }, made("thead", {}, made("tr", {}, made("th", { scope: "col" }, "Quantity"), ...head)), made("tbody", {}, ...body));
     const pictures = others.flatMap((other) => (first.map && other.map ? ["d", "q"].map((flux) => picture(first, other, flux)) : []));
     const missing = pictures.length < 2 * others.length ? [made("p", {}, "Maps of older results are not on this page: drive-id compare shows them.")] : [];
     return byId("compared").replaceChildren(
+      ...refused,
       made("p", {}, "In brackets: difference from the reference in joint standard errors, marked beyond 3. Two results of one recording are not independent."),
       made("div", { class: "wide", tabindex: 0, role: "region", "aria-label": "Comparison" }, table),
-      colourBar(`\u2212${END} σ: less`, `more: +${END} σ of the difference; hatched: no data in both`, true), made("div", { class: "pair" }, ...pictures), ...missing);
+      colourBar(`\u2212${END} σ: less`, `more: +${END} σ of the difference; hatched: no data in one or both`, true), made("div", { class: "pair" }, ...pictures), ...missing);
   }
 
   const groupOf = (row) => [row.machine, row.serial].filter(Boolean).join(", ");
@@ -140,7 +141,11 @@
       });
       if (!points.length) return [];
       const label = `${name} / ${quantity(name)(points[0].row)[2]}, bars: ±2 σ`;
-      return [made("figure", {}, drawTrend(points, label, (p) => `${p.row.date.slice(0, 16).replace("T", " ")}: ${p.written}, ${p.series}`, (time) => new Date(time).toISOString().slice(0, 10)))];
+      const times = points.map((p) => p.x);
+      const oneDay = Math.max(...times) - Math.min(...times) < 86400e3;
+      const tick = (time) => new Date(time).toISOString().slice(...(oneDay ? [11, 16] : [0, 10]));
+      const when = oneDay ? `, ${points[0].row.date.slice(0, 10)}` : "";
+      return [made("figure", {}, drawTrend(points, `${label}${when}`, (p) => `${p.row.date.slice(0, 16).replace("T", " ")}: ${p.written}, ${p.series}`, tick))];
     }));
     if (!byId("trends").children.length) byId("trends").append(made("p", {}, "No dated results of a named machine: name it with drive-id fit --machine NAME --serial NUMBER."));
   }

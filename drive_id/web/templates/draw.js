@@ -15,6 +15,9 @@ function made(tag, attributes = {}, ...children) {
   return element;
 }
 
+/** A name with the index of its symbol lowered, as nodes. */
+const symbol = (name) => name.split(/_(PM|max|[dq]{1,2})\b/).map((part, n) => (n % 2 ? made("sub", {}, part) : part));
+
 const shown = (value, digits = 3) => (value === null || !Number.isFinite(value) ? "unknown"
   : String(Number(value.toPrecision(digits))).replace("-", "\u2212"));
 

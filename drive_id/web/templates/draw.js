@@ -40,7 +40,7 @@ function colourBar(low, high, signed) {
 }
 
 /** Draw cells around nodes (k_d, k_q) times a step in a disc of the current plane, hatched where there are none. */
-function drawDisc(canvas, reach, cells, step, values, paint) {
+function drawDisc(canvas, reach, cells, step, values, paint, radius = `${shown(reach, 4)} A`) {
   const size = canvas.width = canvas.height = 480;
   const context = canvas.getContext("2d");
   const scale = size / (2.3 * reach);
@@ -71,7 +71,7 @@ function drawDisc(canvas, reach, cells, step, values, paint) {
     context.fillText("i", ...at);
     context.fillText(index, at[0] + 4, at[1] + 4);
   }
-  context.fillText(`${shown(reach, 4)} A`, x(0.74 * reach), y(0.76 * reach));
+  context.fillText(radius, x(0.74 * reach), y(0.76 * reach));
   return { context, x, y };
 }
 

@@ -353,7 +353,7 @@ class Result:
             )
         from drive_id.core.maps.continuation import LongerGrid  # noqa: PLC0415  # a fit needs no scipy
 
-        found = self.flux_map
+        found = self.enclosed.flux_map
         longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * self.i_max)
         whole = longer.whole
         psi_d, psi_q = longer.flux(found.psi_d, 0), longer.flux(found.psi_q, 1)

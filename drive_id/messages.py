@@ -111,6 +111,7 @@ class _Templates(Formatter):
     - ``{x:.3g|m}`` is in thousandths; likewise ``k``, ``u``, ``deg`` (of rad), ``%``, and ``phase`` for a, b or c.
     - ``{x:|nouns}`` is a list of effects, by the nouns for them.
     - ``{x:±{sigma} ohm}`` has a standard error, see :func:`~drive_id.quantity.measured`; shares in ``%``, rad in ``°``.
+      ``{x:±{sigma} ohm of {resistance}}`` is in the unit for that size.
     - ``{x:?yes//no}`` is one of two texts, whether the value is known and not False.
     """
 
@@ -129,8 +130,11 @@ class _Templates(Formatter):
             return _MISSING
         if format_spec.startswith("±"):
             sigma, unit = format_spec[1:].split(" ", 1)
+            unit, _, size = unit.partition(" of ")
+            if size == _MISSING:
+                return _MISSING
             scale = {"%": 100.0, "°": _SCALES["deg"]}.get(unit, 1.0)
-            return measured(scale * value, scale * float(sigma), unit)
+            return measured(scale * value, scale * float(sigma), unit, abs(float(size or "nan")))
         spec, _, unit = format_spec.partition("|")
         if unit in _SHOWN:
             return _SHOWN[unit](value, spec)

@@ -12,6 +12,9 @@ from typing import Any
 _PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "µ", -9: "n"}
 _PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "Nm/A", "s", "S", "Wb/K", "W"})
 """Units that take a prefix; others, such as samples and °, are left as they are."""
+_PLAIN = frozenset({"V", "A", "Nm", "Nm/A", "W"})
+"""Of these, the units that are read without a prefix as long as the number is of a usual size."""
+_USUAL = (1e-3, 1e4)
 _SPELLED = {"ohm": "Ω", "1": "", "degC": "°C", "kg m^2": "kg m²"}
 _DIGITS = 4
 """Significant digits of a value without a known standard error."""
@@ -28,9 +31,10 @@ class Quantity:
     sigma: float  # standard error; not finite where it is not known
     unit: str  # SI
     note: str = ""  # what it holds for, a sentence; empty where the name says all
+    size: float = math.nan  # as of :func:`measured`
 
     def __str__(self) -> str:
-        return measured(self.value, self.sigma, self.unit)
+        return measured(self.value, self.sigma, self.unit, self.size)
 
 
 class Tabled(ABC):
@@ -67,10 +71,12 @@ def html_table(rows: Iterable[Sequence[str]], caption: str = "") -> str:
     return f"<table>{above}{lines}</table>"
 
 
-def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
+def measured(value: float, sigma: float = math.nan, unit: str = "", size: float = math.nan) -> str:
     """Return a value and its standard error, rounded alike to two digits of the error, with an engineering prefix.
 
-    The value alone, to four digits, where the error is unknown; ``unknown`` where the value is not finite.
+    The value alone, to four digits, where the error is unknown; ``unknown`` where the value is not finite. The size of
+    all that is shown of its kind gives the prefix, in SI units: what belongs together is read in one unit. Default: the
+    value's own.
     """
     if not math.isfinite(value):
         return "unknown"
@@ -78,25 +84,30 @@ def measured(value: float, sigma: float = math.nan, unit: str = "") -> str:
     if unit == "rad":  # people read angles in one unit, whatever their size
         value, sigma, unit = math.degrees(value), math.degrees(sigma), "°"
     known = math.isfinite(sigma) and sigma > _LEAST_SHARE * abs(value)
-    largest = max(abs(value), sigma if known else 0.0)
-    exponent = 0
-    if unit in _PREFIXED and largest > 0:
-        exponent = min(max(3 * (_order(largest, _DIGITS if not known else 12) // 3), min(_PREFIXES)), max(_PREFIXES))
-    value, sigma, unit = value / 10.0**exponent, sigma / 10.0**exponent, _PREFIXES[exponent] + unit
+    if math.isfinite(size):
+        factor, unit = scaled_unit(size, unit)
+    else:
+        factor, unit = scaled_unit(max(abs(value), sigma if known else 0.0), unit, _DIGITS if not known else 12)
+    value, sigma = value * factor, sigma * factor
     if known:
         digits = 1 - _order(sigma, 2)
         shown = (f"{round(number, digits):.{max(0, digits)}f}" for number in (value, sigma))
         text = " ± ".join(shown)
     else:
-        text = f"{value:.{_DIGITS}g}"
+        text = rounded(value)
     return f"{text} {unit}".rstrip().replace("-", "\N{MINUS SIGN}")
 
 
-def scaled_unit(largest: float, unit: str) -> tuple[float, str]:
-    """Return the factor from an SI unit to that in which values of this size are read, and that unit."""
-    if unit not in _PREFIXED or not largest > 0:
+def rounded(value: float, digits: int = _DIGITS) -> str:
+    """Return a number to some significant digits, without an exponent where it is of a usual size."""
+    return f"{float(f'{value:.{digits}g}'):.10g}"
+
+
+def scaled_unit(largest: float, unit: str, digits: int = _DIGITS) -> tuple[float, str]:
+    """Return the factor from an SI unit to that in which values up to this size are read, and that unit."""
+    if unit not in _PREFIXED or not largest > 0 or (unit in _PLAIN and _USUAL[0] <= largest < _USUAL[1]):
         return 1.0, unit
-    exponent = min(max(3 * (_order(largest, _DIGITS) // 3), min(_PREFIXES)), 0)
+    exponent = min(max(3 * (_order(largest, digits) // 3), min(_PREFIXES)), max(_PREFIXES))
     return 10.0**-exponent, _PREFIXES[exponent] + unit
 
 

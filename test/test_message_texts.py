@@ -78,7 +78,8 @@ def test_units_and_optional_parts():
     )
     assert "5 ± 0.11°" not in Message("resolver_offset", value=math.radians(5), sigma=math.radians(0.11))
     assert "5.00 ± 0.11 °" in Message("resolver_offset", value=math.radians(5), sigma=math.radians(0.11))
-    assert "phase b" in Message("resistance_of_phase", phase=1, value=1e-3, sigma=1e-4)
+    of_phase = Message("resistance_of_phase", phase=1, value=1e-3, sigma=1e-4, resistance=2.0)
+    assert of_phase.startswith("The resistance of phase b is 0.00100 ± 0.00010 Ω above"), "R = 2 Ω is in Ω"
     rivals = Message("iron_loss_current", value=1.0, sigma=0.1, rivals="flux_lag_4ms,dc_link", several_speeds=True)
     assert rivals.endswith(
         " This is open: flux that lags the current by 4 ms or a varying DC-link voltage would explain these data "
@@ -89,6 +90,8 @@ def test_units_and_optional_parts():
 def test_a_sentence_without_its_values_is_refused():
     with pytest.raises(KeyError, match="gaps lacks a value"):
         Message("gaps", gaps=2)
+    with pytest.raises(KeyError, match="resistance_of_phase lacks a value"):
+        Message("resistance_of_phase", phase=1, value=1e-3, sigma=1e-4)
 
 
 @pytest.mark.parametrize("key", TEMPLATES)

@@ -21,7 +21,10 @@ SCALES = {"": 1, "m": Decimal("1e-3"), "µ": Decimal("1e-6"), "n": Decimal("1e-9
         (0.0099971, 1.1e-5, "ohm", "9.997 ± 0.011 mΩ"),
         (0.35, 0.00996, "Ω", "350 ± 10 mΩ"),
         (0.99996, math.nan, "V", "1 V"),
-        (999.96e-3, 1e-4, "V", "999.96 ± 0.10 mV"),
+        (999.96e-3, 1e-4, "Ω", "999.96 ± 0.10 mΩ"),
+        (0.62, math.nan, "V", "0.62 V"),
+        (312.5, 1.0, "V", "312.5 ± 1.0 V"),
+        (2.5e-4, 1e-5, "A", "250 ± 10 µA"),
         (-3.2e-5, 1.5e-6, "H", "−32.0 ± 1.5 µH"),
         (1e-6, 2.5e-3, "Wb", "0.0 ± 2.5 mWb"),
         (12345.0, 1234.0, "Nm", "12.3 ± 1.2 kNm"),
@@ -29,12 +32,25 @@ SCALES = {"": 1, "m": Decimal("1e-3"), "µ": Decimal("1e-6"), "n": Decimal("1e-9
         (0.98051, 0.0031, "1", "0.9805 ± 0.0031"),
         (0.0, math.inf, "A", "0 A"),
         (math.nan, 1.0, "A", "unknown"),
-        (1 / 3, 1e-13, "V", "333.3 mV"),
+        (1 / 3, 1e-13, "V", "0.3333 V"),
         (-3.7e-5, 8.3e-6, "rad", "−0.00212 ± 0.00048 °"),
     ],
 )
 def test_examples(value, sigma, unit, text):
     assert measured(value, sigma, unit) == text
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "size", "text"),
+    [
+        (0.35e-3, 1e-6, 1.2e-3, "0.3500 ± 0.0010 mH"),
+        (1.2e-3, 1e-6, 0.35e-3, "1200.0 ± 1.0 µH"),
+        (4e-6, math.nan, 1.2e-3, "0.004 mH"),
+        (0.0, 2e-3, 5e-6, "0 ± 2000 µH"),
+    ],
+)
+def test_what_is_shown_together_has_one_unit(value, sigma, size, text):
+    assert measured(value, sigma, "H", size) == text
 
 
 def test_a_table_is_aligned_in_text_and_safe_in_a_notebook():
@@ -55,9 +71,9 @@ def test_a_table_is_aligned_in_text_and_safe_in_a_notebook():
 def test_both_numbers_are_rounded_to_two_digits_of_the_error(size, share, sign):
     """Against decimal arithmetic: the last digits of both stand for one tenth of the error's leading digit."""
     value, sigma = sign * size, share * size
-    text = measured(value, sigma, "V").replace("\N{MINUS SIGN}", "-")
+    text = measured(value, sigma, "Ω").replace("\N{MINUS SIGN}", "-")
     numbers, _, unit = text.rpartition(" ")
-    scale = SCALES[unit.removesuffix("V")]
+    scale = SCALES[unit.removesuffix("Ω")]
     shown_value, shown_sigma = (Decimal(part) * scale for part in numbers.split(" ± "))
     exact = Decimal(sigma)
     step = Decimal(1).scaleb(exact.adjusted() - 1)

@@ -22,7 +22,7 @@ from drive_id.analysis.trajectories import CurrentLocus
 from drive_id.files.inputs.archive import npz_bytes
 from drive_id.files.results.folder import replace_folder
 from drive_id.messages import Message
-from drive_id.quantity import Tabled, measured, plain
+from drive_id.quantity import Tabled, plain
 from drive_id.result.result import InverterCurve, Result
 from drive_id.result.tables import pandas_library
 from drive_id.types import BoolArray, FloatArray
@@ -154,7 +154,7 @@ class Analysis(Tabled):
         found: list[tuple[str, ...]] = []
         for name, figure in self.figures.items():
             factor, unit = (1 / _RPM, "rpm") if figure.unit == "rad/s" else (1.0, figure.unit)
-            shown = measured(factor * figure.value, factor * figure.sigma, unit)
+            shown = self.result.told(factor * figure.value, factor * figure.sigma, unit)
             known = "" if figure.inside else " (extrapolated)"
             found.append((_NAMED.get(name, name.replace("_", " ")), shown + known))
         return found

@@ -15,6 +15,7 @@ from drive_id.analysis.surfaces import Surfaces
 from drive_id.core.maps.continuation import LongerGrid, continued
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, CoverageError
+from drive_id.quantity import measured
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
@@ -44,7 +45,7 @@ class MachineModel:
     Parameters
     ----------
     flux_map : FluxMap
-        Continued to at least 1.25 i_max on both axes; ``inside`` tells where there are data.
+        Continued to at least 1.25 i_max on both axes; ``inside`` tells where there are data, or data all around.
     own : Surfaces
         Through the map of the result: where there are data, its slopes hold.
     i_max : float
@@ -114,6 +115,7 @@ class MachineModel:
             When the map has hardly any data.
         """
         result.check_turning()
+        result = result.enclosed
         pairs, link = result.pole_pairs if pole_pairs is None else pole_pairs, result.u_dc if u_dc is None else u_dc
         if pairs is not None and pairs < 1:
             raise ConfigurationError(f"pole_pairs is {pairs}: give a whole number of at least 1.")
@@ -389,10 +391,10 @@ class MachineModel:
         slopes = self.inductances(d, q)
         own = np.stack([slopes[:, 0, 0], slopes[:, 1, 1]])
         axis, k = np.unravel_index(own.argmin(), own.shape)
-        name = "dq"[int(axis)]
+        name, lowest = "dq"[int(axis)], measured(float(own[axis, k]), unit="H", size=float(np.abs(own).max()))
         return (
             f"The map is not monotone everywhere, it folds: at {len(wrong)} of {int(inside.sum())} currents within the "
-            f"data the inductances are not positive definite, and L_{name}{name} falls to {own[axis, k] * 1e3:.3g} mH "
+            f"data the inductances are not positive definite, and L_{name}{name} falls to {lowest} "
             f"at i_d = {d[k]:.3g} A, i_q = {q[k]:.3g} A, which no machine does."
         )
 

@@ -78,7 +78,7 @@ class Judgement:
     limit: float | None
     unit: str
     passed: bool | None
-    reason: str = ""  # why it is not judged although there is a limit, or passed beyond it
+    reason: str = ""  # why it is not judged although there is a limit; beyond it, how much it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,9 +128,10 @@ class Verification:
 def _in_sigma(name: str, value: float, percent: float, limit: float | None, negligible: float) -> Judgement:
     """Judge a difference of ``percent`` of the largest flux in standard errors."""
     unit = "standard errors"
-    if limit is None or value <= limit or percent > negligible:
-        return Judgement(name, value, limit, unit, None if limit is None else value <= limit)
-    return Judgement(name, value, limit, unit, passed=True, reason=f"only {percent:.2g} % of the largest flux")
+    if limit is None or value <= limit:
+        return Judgement(name, value, limit, unit, None if limit is None else True)
+    passed, share = percent <= negligible, f"{percent:.2g} % of the largest flux"
+    return Judgement(name, value, limit, unit, passed, f"only {share}" if passed else share)
 
 
 def _measured(
@@ -177,7 +178,7 @@ def verify(result: Result, samples: Samples) -> Verification:
         for axis, part in enumerate((turned, 1j * turned)):
             np.add.at(columns, (np.arange(len(windows)), 2 * column[:, end] + axis), part)
     columns[:, -2], columns[:, -1] = by_resistance, by_drop
-    largest = float(np.hypot(found.psi_d, found.psi_q)[found.inside].max())
+    largest = found.largest
     spread = 1e-3 if samples.winding_temperature is not None else _WARM
     spread = max(result.sigma_resistance / result.resistance, spread) if result.resistance > 0 else spread
     prior = np.append(np.full(2 * len(counts), _FLUX * largest), [spread, _LINK])
@@ -211,7 +212,7 @@ def _magnet(result: Result, i_dq: FloatArray, difference: FloatArray, sigma: Flo
     """
     found, near = result.flux_map, np.abs(i_dq).max(axis=1) < 2 * result.i_max / _ACROSS
     magnet = float(found.psi_dq(0.0, 0.0)[0])
-    if not near.any() or not abs(magnet) > _NO_MAGNET * float(np.hypot(found.psi_d, found.psi_q)[found.inside].max()):
+    if not near.any() or not abs(magnet) > _NO_MAGNET * found.largest:
         return np.nan, np.nan
     weight = 1 / sigma[near] ** 2
     return float(weight @ difference[near] / weight.sum() / magnet), float(1 / np.sqrt(weight.sum()) / abs(magnet))

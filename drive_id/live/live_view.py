@@ -11,7 +11,7 @@ import numpy as np
 
 from drive_id.core.result.identification import FluxMap
 from drive_id.origins import ORIGINS
-from drive_id.quantity import plain
+from drive_id.quantity import plain, scaled_unit
 
 _MOST_POINTS = 2000
 """Points between two looks: 40 s of them."""
@@ -102,27 +102,30 @@ class LiveView:
             self._estimates.clear()  # another experiment
         if not self._estimates or found.samples > self._estimates[-1].samples:
             self._estimates.append(found)
-        told = [[e.samples, 1e3 * e.resistance, 1e3 * e.sigma] for e in self._estimates]
-        self._new["resistance"] = plain({"estimates": told, "forecast": forecast(self._estimates, time)})
+        scale, unit = scaled_unit(abs(resistance), "Ω")
+        told = [[e.samples, scale * e.resistance, scale * e.sigma] for e in self._estimates]
+        self._new["resistance"] = plain({"estimates": told, "unit": unit, "forecast": forecast(self._estimates, time)})
 
     def flux_map(self, message: Any) -> None:
         """Take a map, an object with the fields of ``drive_id_msgs/FluxMap``: cells with data, and quantities."""
         axes = (np.asarray(message.i_d), np.asarray(message.i_q))
         turning = message.method not in ORIGINS or ORIGINS[message.method].turning
-        milli = 1e3 if turning else math.nan  # the magnets' flux of a locked rotor is unknown
         names, shape = ("psi_d", "psi_q", "sigma_d", "sigma_q", "inside"), tuple(map(len, axes))
         found = FluxMap(*axes, *(np.asarray(getattr(message, name)).reshape(shape) for name in names))
         step = message.i_max / _CELLS
         k_d, k_q = (axis.ravel() for axis in np.mgrid[-_CELLS : _CELLS + 1, -_CELLS : _CELLS + 1])
         sigma = np.maximum(*found.sigma(step * k_d, step * k_q))
         known = np.isfinite(sigma)
+        flux, flux_unit = scaled_unit(found.largest, "Wb")
+        magnet = flux if turning else math.nan  # the magnets' flux of a locked rotor is unknown
+        ohm, ohm_unit = scaled_unit(abs(message.resistance), "Ω")
         self._new["map"] = plain({
             "step": step, "i_max": message.i_max,
             "cells": np.stack([k_d, k_q], axis=-1)[known],
-            "sigma": 1e6 * sigma[known],
-            "psi_pm": [milli * float(x[0]) for x in (found.psi_dq(0.0, 0.0), found.sigma(0.0, 0.0))],
-            "resistance": [1e3 * message.resistance, 1e3 * message.sigma_resistance],
-            "drop": [message.voltage_error, message.sigma_voltage_error],
+            "sigma": flux * sigma[known],
+            "psi_pm": [*(magnet * float(x[0]) for x in (found.psi_dq(0.0, 0.0), found.sigma(0.0, 0.0))), flux_unit],
+            "resistance": [ohm * message.resistance, ohm * message.sigma_resistance, ohm_unit],
+            "drop": [message.voltage_error, message.sigma_voltage_error, "V"],
             "coverage": message.coverage, "provisional": message.provisional, "machine": message.machine,
             "method": message.method, "warnings": list(message.warnings),
         })  # fmt: skip

@@ -32,7 +32,7 @@ class Caption:
 
     def text(self) -> str:
         """Return two lines, formulas as mathtext: what was identified, and how."""
-        resistance = measured(self.resistance, self.sigma_resistance, "Ω")
+        resistance = measured(self.resistance, self.sigma_resistance, "Ω", abs(self.resistance))
         what = (_plain(self.machine[:_LONGEST_NAME]), self.origin, self.date)
         how = (
             f"$R$ = {resistance}" if math.isfinite(self.resistance) else "",

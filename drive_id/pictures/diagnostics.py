@@ -21,13 +21,13 @@ from drive_id.pictures.panels import (
     Disc,
     add_colour_bar,
     continued,
-    flux_unit,
     frame,
     name,
     place,
 )
 from drive_id.pictures.picture import Picture
 from drive_id.pictures.styles import style_of
+from drive_id.quantity import scaled_unit
 from drive_id.types import BoolArray, FloatArray, GroundTruth, Samples
 
 DARK = "#00429d"
@@ -88,7 +88,7 @@ def draw_inverter(axes: Axes, identification: IdentifiedDrive, truth: GroundTrut
 
 def _draw_sigma(axes: Axes, disc: Disc) -> None:
     """Draw the larger of the standard errors of both fluxes, in steps of 1, 2, 5."""
-    unit, scale = flux_unit(disc)
+    scale, unit = scaled_unit(disc.flux_map.largest, "Wb")
     frame(axes, disc, f"σ of {PSI['d']} or {PSI['q']}, the larger / {unit}")
     sigma = scale * np.maximum(disc.flux_map.sigma_d, disc.flux_map.sigma_q)
     known = disc.known & np.isfinite(sigma) & (sigma > 0)
@@ -110,7 +110,7 @@ def _draw_sigma(axes: Axes, disc: Disc) -> None:
 
 def _draw_along_axes(own: Axes, cross: Axes, disc: Disc) -> None:
     """Draw each flux over its own current and over the other one, with 95 % bands."""
-    unit, _ = flux_unit(disc)
+    _, unit = scaled_unit(disc.flux_map.largest, "Wb")
     name(own, "Fluxes along the axes", "current / A", f"flux / {unit}")
     name(cross, "Cross saturation", "current / A", f"change of flux / {unit}")
     for component, other in ("dq", "qd"):
@@ -142,8 +142,9 @@ def _section(disc: Disc, component: str, zero: str) -> Section:
     def cut(values: FloatArray | BoolArray) -> tuple[FloatArray, FloatArray]:
         return np.take(values, first, axis=axis), np.take(values, first + 1, axis=axis)
 
+    scale, _ = scaled_unit(flux_map.largest, "Wb")
     psi, sigma = (
-        flux_unit(disc)[1] * ((1 - share) * low + share * high)
+        scale * ((1 - share) * low + share * high)
         for low, high in (cut(getattr(flux_map, f"{quantity}_{component}")) for quantity in ("psi", "sigma"))
     )
     known = np.logical_and(*cut(disc.known)) & (across[0] <= 0.0 <= across[-1])

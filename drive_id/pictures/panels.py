@@ -18,6 +18,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from drive_id.core.result.identification import FluxMap
+from drive_id.quantity import scaled_unit
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 PSI = {"d": r"$\psi_\mathrm{d}$", "q": r"$\psi_\mathrm{q}$"}
@@ -110,7 +111,7 @@ def name(axes: Axes, title: str, x: str, y: str) -> None:
 
 def draw_flux(axes: Axes, disc: Disc, component: str, i_dq: FloatArray | None = None) -> None:
     """Draw one flux as filled contours with labelled level lines, and the trajectory (N, 2), A, over them."""
-    unit, scale = flux_unit(disc)
+    scale, unit = scaled_unit(disc.flux_map.largest, "Wb")
     frame(axes, disc, f"{PSI[component]} / {unit}")
     if i_dq is not None:
         axes.plot(
@@ -228,12 +229,6 @@ def _label_levels(contours: ContourSet, disc: Disc) -> None:
 
 def _number(level: float) -> str:
     return f"{level:g}".replace("-", "\N{MINUS SIGN}")
-
-
-def flux_unit(disc: Disc) -> tuple[str, float]:
-    """Return the unit for the fluxes of a map, and the factor from Wb to it."""
-    largest = np.abs([disc.flux_map.psi_d[disc.known], disc.flux_map.psi_q[disc.known]]).max(initial=0.0)
-    return ("mWb", 1e3) if largest < 1.0 else ("Wb", 1.0)
 
 
 def levels(low: float, high: float, count: int) -> FloatArray:

@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 from rich.table import Table
 
 from drive_id.pictures.panels import PSI, SMALL, add_colour_bar, levels, name_currents, place
+from drive_id.quantity import scaled_unit
 from drive_id.reporting.tables import plain_table
 from drive_id.result.comparison import Comparison
 from drive_id.result.result import Result
@@ -19,7 +20,8 @@ def draw_difference(comparison: Comparison) -> Figure:
 
     The lower row is left out when no standard errors are known.
     """
-    rows = [(comparison.difference * 1e3, "mWb")]
+    scale, unit = scaled_unit(comparison.first.flux_map.largest, "Wb")
+    rows = [(scale * comparison.difference, unit)]
     if np.isfinite(comparison.in_sigma).any():
         rows.append((comparison.in_sigma, "joint standard errors"))
     height = 0.45 + 3.35 * len(rows)

@@ -47,7 +47,7 @@ def fit_table(fit: Result, *, verbose: bool = False) -> Table:
     for found in drive.calibrations:
         if math.isfinite(found.sigma) and (found.applied or verbose):
             state = "" if found.applied else " (not corrected)"
-            row(f"{found.name.replace('_', ' ')}{state}", measured(found.value, found.sigma, found.unit))
+            row(f"{found.name.replace('_', ' ')}{state}", fit.told(found.value, found.sigma, found.unit))
     if origin.harmonics:
         row("Rotor-position harmonics", ", ".join(str(harmonic.order) for harmonic in drive.harmonics) or "none")
     table.add_section()
@@ -80,7 +80,7 @@ def _regression_rows(fit: Result) -> list[tuple[str, str]]:
 def _true(name: str, truth: GroundTruth) -> str:
     """Return the true value of a quantity of the headline, where the truth of a simulation has it as a number."""
     if name == "R":
-        return measured(truth.resistance, unit="Ω")
+        return measured(truth.resistance, unit="Ω", size=truth.resistance)
     if name != "Inverter drop":
         return ""
     at = truth.inverter_current.searchsorted(truth.i_max, side="right") - 1

@@ -123,19 +123,20 @@ class Comparison(Tabled):
 
     def rows(self) -> list[tuple[str, ...]]:
         """Return quantity, difference, and the same in joint standard errors, as ``drive-id compare`` prints them."""
-        tree, rows = self.tree(), [("Quantity", "Difference", "Std. errors")]
+        tree, told = self.tree(), self.first.told
+        rows: list[tuple[str, ...]] = [("Quantity", "Difference", "Std. errors")]
 
         def sigmas(value: float | None) -> str:
             return "unknown" if value is None else f"{value:.3g}".replace("-", "\N{MINUS SIGN}")
 
         for axis in "dq":
-            rms = f"{measured(tree[f'rms_{axis}'], unit='Wb')} ({100 * tree[f'nrmse_{axis}']:.4g} %)"
+            rms = f"{told(tree[f'rms_{axis}'], unit='Wb')} ({100 * tree[f'nrmse_{axis}']:.4g} %)"
             rows.append((f"ψ_{axis}, rms (NRMSE)", rms, sigmas(tree[f"rms_{axis}_in_sigma"])))
         worst = tree["worst"]
         size = math.hypot(worst["psi_d"], worst["psi_q"])
-        rows.append(("ψ, largest", measured(size, unit="Wb"), sigmas(tree["largest_in_sigma"])))
+        rows.append(("ψ, largest", told(size, unit="Wb"), sigmas(tree["largest_in_sigma"])))
         rows.append(("  at i_d, i_q", f"{measured(worst['i_d'], unit='A')}, {measured(worst['i_q'], unit='A')}", ""))
-        known = "unknown" if tree["resistance"] is None else measured(tree["resistance"], unit="Ω")
+        known = "unknown" if tree["resistance"] is None else told(tree["resistance"], unit="Ω")
         rows.append(("R", known, sigmas(tree["resistance_in_sigma"])))
         for what, key, unit in (("Inverter curve", "inverter_curve", "V"), ("Torque", "torque", "Nm")):
             if (found := tree[key]) is not None:

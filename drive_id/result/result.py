@@ -18,7 +18,7 @@ from drive_id.files.results.identification import Provenance, read_judged, read_
 from drive_id.messages import Message
 from drive_id.origins import Origin
 from drive_id.pictures.caption import Caption
-from drive_id.quantity import Quantity, html_table, measured
+from drive_id.quantity import Quantity, html_table, measured, spelled
 from drive_id.result.advice import advice
 from drive_id.result.tables import map_dataset, pandas_library
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
@@ -112,6 +112,10 @@ class Result:
             self.drive, pole_pairs=self.pole_pairs, temperature=known.temperature, rated=known.settings.rated_current
         )
 
+    def told(self, value: float, sigma: float = math.nan, unit: str = "") -> str:
+        """Return a value and its standard error, in SI units, in the unit in which this result has all of its kind."""
+        return measured(value, sigma, unit, self.drive.sizes.get(spelled(unit), math.nan))
+
     @property
     def advice(self) -> tuple[Message, ...]:
         """What to record next, the most useful first."""
@@ -149,6 +153,22 @@ class Result:
     def flux_map(self) -> FluxMap:
         """Flux linkages, incremental inductances and standard errors at any current."""
         return self.drive.flux_map
+
+    @cached_property
+    def enclosed(self) -> Self:
+        """The result whose map holds also where samples only enclose the current.
+
+        The standard error, of the joint errors of the fit, tells how well the map is known there.
+        """
+        found, modes = self.flux_map, self.drive.error_modes
+        if modes is None or not (beyond := modes.known & ~found.inside).any():
+            return self
+        sigma_d, sigma_q = (
+            np.where(beyond, np.linalg.norm(errors, axis=0), own)
+            for errors, own in ((modes.psi_d, found.sigma_d), (modes.psi_q, found.sigma_q))
+        )
+        wider = replace(found, inside=found.inside | beyond, sigma_d=sigma_d, sigma_q=sigma_q)
+        return replace(self, drive=replace(self.drive, flux_map=wider))
 
     @property
     def harmonics(self) -> tuple[HarmonicMap, ...]:
@@ -333,7 +353,7 @@ class Result:
             )
         from drive_id.core.maps.continuation import LongerGrid  # noqa: PLC0415  # a fit needs no scipy
 
-        found = self.flux_map
+        found = self.enclosed.flux_map
         longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * self.i_max)
         whole = longer.whole
         psi_d, psi_q = longer.flux(found.psi_d, 0), longer.flux(found.psi_q, 1)

@@ -23,9 +23,10 @@ def comparison(results: Mapping[str, Identified], truth: GroundTruth | None) -> 
         table.add_column(title, justify="right", no_wrap=True)
     maps, reports = [r.flux_map for r in results.values()], [r.report for r in results.values()]
     drop = "" if truth is None else measured(float(truth.inverter_voltage[-1]), unit="V")
-    resistances = [measured(m.resistance, m.sigma_resistance, "Ω") for m in maps]
+    size = max((abs(m.resistance) for m in maps), default=math.nan)
+    resistances = [measured(m.resistance, m.sigma_resistance, "Ω", size) for m in maps]
     rows = [
-        ("R", resistances, truth and measured(truth.resistance, unit="Ω")),
+        ("R", resistances, truth and measured(truth.resistance, unit="Ω", size=size)),
         ("Inverter drop", [_drop(m) for m in maps], drop),
         ("Mean error of simulated i_d / i_q", [f"{r.mad_d:.3g} / {r.mad_q:.3g} A" for r in reports], ""),
         ("Disc covered", [f"{100 * r.coverage:.1f} %" for r in reports], ""),

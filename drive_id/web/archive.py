@@ -14,7 +14,7 @@ import numpy as np
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.results.folder import MARKER
-from drive_id.quantity import plain
+from drive_id.quantity import measured, plain, scaled_unit
 from drive_id.result.result import Result
 
 _NODES = 16
@@ -69,8 +69,32 @@ def entries_of(folders: Sequence[Path], base: Path) -> list[Entry]:
 
 
 def rows(entries: Sequence[Entry]) -> list[dict[str, Any]]:
-    """Return what a page holds of entries: maps only of so many that it stays quick to open."""
-    return [e.row if k < _MOST_MAPS else {**e.row, "map": None} for k, e in enumerate(entries)]
+    """Return what a page holds of entries: maps only of so many that it stays quick to open, one unit per quantity.
+
+    Each quantity becomes its value and standard error in that unit, the unit, and its text.
+    """
+    values: dict[str, list[float]] = {}
+    for entry in entries:
+        for name, (value, *_) in entry.row.get("quantities", {}).items():
+            kind = "L" if name in {"L_d", "L_q"} else name
+            values.setdefault(kind, []).extend([abs(value)] if value else [])
+    middle = {kind: math.sqrt(min(found) * max(found)) if found else 0.0 for kind, found in values.items()}
+    sizes = middle | dict.fromkeys(("L_d", "L_q"), middle.get("L", 0.0))
+    found = []
+    for k, entry in enumerate(entries):
+        told = {name: _told(q, sizes[name]) for name, q in entry.row.get("quantities", {}).items()}
+        shown = {"quantities": told} if told else {}
+        found.append(entry.row | shown | ({} if k < _MOST_MAPS else {"map": None}))
+    return found
+
+
+def _told(quantity: tuple[float | None, float | None, str], size: float) -> list[Any]:
+    """Return a quantity in the unit for a size: value, standard error, unit and text."""
+    *numbers, unit = quantity
+    value, sigma = (math.nan if x is None else float(x) for x in numbers)
+    factor, scaled = scaled_unit(size, unit)
+    found: list[Any] = plain([factor * value, factor * sigma, scaled, measured(value, sigma, unit, size)])
+    return found
 
 
 def _entry(folder: Path) -> Entry:
@@ -85,7 +109,7 @@ def row_of(result: Result) -> dict[str, Any]:
     quantities: dict[str, Any] = {}
     for q in result.headline:
         if "MTPA" not in q.name:  # inductances at zero current only: a column compares like with like
-            quantities[q.name.partition(" at ")[0]] = [q.value, q.sigma, q.unit, str(q)]
+            quantities[q.name.partition(" at ")[0]] = [q.value, q.sigma, q.unit]
     return {
         "date": result.date,
         "machine": result.machine,

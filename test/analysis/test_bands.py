@@ -170,6 +170,25 @@ def test_bands_of_mtpv_and_of_the_characteristic_current():
     )
 
 
+def test_what_samples_only_enclose_is_known_by_its_error(erring):
+    """Also to a simulation of the result; without the joint errors of a fit, the hole stays one."""
+    found = erring.flux_map
+    hole = np.hypot(*np.moveaxis(found.grid(), -1, 0)) < 0.3 * erring.i_max
+    sigmas = {name: np.where(hole, np.nan, getattr(found, name)) for name in ("sigma_d", "sigma_q")}
+    drive = replace(erring.drive, flux_map=replace(found, inside=found.inside & ~hole, **sigmas))
+    holed = replace(erring, drive=drive)
+    assert np.isnan(holed.flux_map.psi_dq(0.0, 0.0)[0])
+    assert erring.enclosed is erring
+    model, whole = MachineModel.of(holed), MachineModel.of(erring)
+    i_d, i_q = np.array([0.0, -2.0, 1.0]), np.array([0.5, 2.0, -3.0])
+    assert model.inside(i_d, i_q).all()
+    np.testing.assert_array_equal(model.torque(i_d, i_q), whole.torque(i_d, i_q))
+    np.testing.assert_array_equal(model.sigma_torque(i_d, i_q), whole.sigma_torque(i_d, i_q))
+    np.testing.assert_array_equal(holed.to_machine().psi_q, erring.to_machine().psi_q)
+    ignorant = replace(holed, drive=replace(drive, error_modes=None))
+    assert not MachineModel.of(ignorant).inside(i_d, i_q).any()
+
+
 def test_without_correlations_torque_bands_are_wide_and_slopes_have_none():
     result = exact_result(MACHINE.to_map(), sigma=1e-4, sigma_resistance=0.01)
     model = MachineModel.of(result)

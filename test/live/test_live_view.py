@@ -71,13 +71,14 @@ def test_a_map_is_its_cells_with_data_and_its_quantities(fitted):
     view = LiveView()
     view.flux_map(message(fitted))
     found = json.loads(json.dumps(view.take(), allow_nan=False))["map"]
-    assert found["resistance"] == [pytest.approx(1e3 * fitted.resistance), None]
+    assert found["resistance"] == [pytest.approx(1e3 * fitted.resistance), None, "mΩ"]
     psi_pm = 1e3 * float(fitted.flux_map.psi_dq(0.0, 0.0)[0])
     assert found["psi_pm"][0] == pytest.approx(psi_pm, rel=1e-6)
+    assert found["psi_pm"][2] == "mWb"
     cells = found["step"] * np.array(found["cells"])
     assert np.hypot(*cells.T).max() <= 1.1 * fitted.i_max
     sigma = np.maximum(*fitted.flux_map.sigma(*cells.T))
-    np.testing.assert_allclose(found["sigma"], 1e6 * sigma, rtol=1e-9)
+    np.testing.assert_allclose(found["sigma"], 1e3 * sigma, rtol=1e-9)
     assert len(cells) > 1000
     assert found["warnings"] == ["A warning."]
 

@@ -263,7 +263,7 @@ def test_in_print_pictures_stand_for_the_charts(opened):
     element(opened, "theme").click()
     opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
     assert opened.execute_script(shown, ".chart") == 0
-    assert opened.execute_script(shown, ".picture") == 7
+    assert opened.execute_script(shown, ".picture") == 8
     assert opened.execute_script(shown, "button, select, nav") == 0
     assert brightness(opened.execute_script("return getComputedStyle(document.body).backgroundColor")) > 250
     opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})

@@ -16,6 +16,7 @@ from result_folder import forget_digests
 
 import drive_id
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, OutputError, ResultError
 from drive_id.fitting.fit import fit_bags
@@ -274,12 +275,18 @@ def test_a_stored_result_has_the_same_report(page, loaded):
     assert stored.by_id("comparison").text() == page.by_id("comparison").text()
     ours, theirs = (found.data("charts") for found in (page, stored))
     pairs = [(ours["currents"], theirs["currents"])]
-    pairs += [(ours["residuals"][name], theirs["residuals"][name]) for name in ("time", "angle")]
+    pairs += [(ours["residuals"][name], theirs["residuals"][name]) for name in ("time", "angle", "plane")]
     for mine, other in pairs:
         assert set(mine) == set(other)
         for name, values in mine.items():
             both = (np.array(side, float) for side in (values, other[name]))
             np.testing.assert_allclose(*both, rtol=1e-4, atol=1e-5, err_msg=name)
+    quantities = zip(ours["map"].pop("quantities"), theirs["map"].pop("quantities"), strict=True)
+    for mine, other in quantities:
+        assert {**mine, "z": 0, "sigma": 0} == {**other, "z": 0, "sigma": 0}
+        for name in ("z", "sigma"):
+            both = (np.array(side[name], float) for side in (mine, other))
+            np.testing.assert_allclose(*both, rtol=1e-4, err_msg=mine["name"])
     assert ours["map"] == theirs["map"] | {"trajectory": ours["map"]["trajectory"]}
 
 
@@ -304,6 +311,45 @@ def test_a_folder_of_an_earlier_version_has_a_report(fitted, operation, tmp_path
     assert "holds no diagnostics.npz" in page.by_id("residuals").text()
     assert page.has_id("chart-inverter")
     assert page.has_id("chart-operation")
+
+
+def test_a_folder_without_the_residual_over_the_plane_shows_none(fitted, operation, tmp_path):
+    """An earlier version wrote its diagnostics."""
+    fitted.save(tmp_path / "result", draw=False)
+    path = forget_digests(tmp_path / "result") / "diagnostics.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    np.savez(path, **{name: values for name, values in arrays.items() if not name.startswith("plane_")})
+    loaded = drive_id.load(tmp_path / "result")
+    assert loaded.diagnostics.over_plane is None
+    charts = charts_of(loaded, operation)
+    assert charts["residuals"]["plane"] is None
+    assert charts["residuals"]["time"]["x"]
+    np.savez(path, **arrays | {"plane_rms": arrays["plane_rms"][:-1]})
+    with pytest.raises(ResultError, match="over the current plane do not fit"):
+        drive_id.load(tmp_path / "result")
+
+
+def test_losses_are_those_of_winding_and_iron_by_hand(fitted):
+    """At the corner speed; copper by hand, and a given iron loss by the induced voltage."""
+    entry = Calibration("iron_loss_conductance", 0.01, 1e-3, "S", applied=True, message=Message("region.whole"))
+    losing = replace(fitted, drive=replace(fitted.drive, calibrations=(entry,)))
+    found = torque_map(losing).losses
+    flux_map = losing.enclosed.flux_map
+    d, q = (int(np.abs(axis - at).argmin()) for axis, at in ((flux_map.i_d, -100.0), (flux_map.i_q, 100.0)))
+    i_d, i_q = flux_map.i_d[d], flux_map.i_q[q]
+    psi = np.hypot(flux_map.psi_d[d, q], flux_map.psi_q[d, q])
+    omega = found.speed * losing.pole_pairs
+    assert found.losses["iron"][0][d, q] == pytest.approx(1.5 * 0.01 * (omega * psi) ** 2, rel=1e-6)
+    assert found.losses["iron"][1][d, q] >= 0.1 * found.losses["iron"][0][d, q]
+    without = torque_map(fitted).losses
+    assert set(without.losses) == {"copper", "inverter"}
+    assert np.isnan(without.speed)
+    copper = 1.5 * fitted.resistance * (i_d**2 + i_q**2)
+    assert without.losses["copper"][0][d, q] == pytest.approx(copper, rel=1e-9)
+    views = {view["label"]: view["parts"] for view in charts_of(losing, torque_map(losing))["map"]["views"]}
+    assert views["Losses of winding and inverter"] == ["copper", "inverter"]
+    assert [parts for label, parts in views.items() if label.startswith("Iron loss at ")] == [["iron"]]
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no zip", None])
@@ -455,7 +501,7 @@ def test_the_pdf_holds_the_same_words_within_its_pages(full_like, tmp_path, monk
         f"page 1 of {len(pages)}",
     ):
         assert wanted in words, wanted
-    assert sum(len(page.axes) for page in pages) == 7  # that of the efficiency, too
+    assert sum(len(page.axes) for page in pages) == 8  # those of losses and efficiency, too
     for page in pages:
         renderer = page.canvas.get_renderer()
         width, height = page.bbox.width, page.bbox.height

@@ -16,6 +16,7 @@ from drive_id.cli.app import app
 from drive_id.errors import ConfigurationError, OutputError
 from drive_id.result.result import Result
 from drive_id.web.archive import Archive, _map
+from drive_id.web.archive import rows as told
 from drive_id.web.page import archive_page, write_page
 
 HOSTILE = "</script><script>alert(1)</script>"
@@ -46,14 +47,14 @@ def data_of(page):
 
 
 def test_a_row_tells_what_the_result_tells(folder, fitted):
-    rows = [entry.row for entry in Archive(folder).entries()]
+    rows = told(Archive(folder).entries())
     assert [row["folder"] for row in rows] == ["day 5", "day 4", "day 3", "broken"]
     assert [row.get("report") for row in rows] == [False, False, True, False]
     assert "JSON" in rows[-1]["error"]
     assert str(folder) not in rows[-1]["error"]
     loaded = drive_id.load(folder / "day 4")
     value, sigma, unit, text = rows[1]["quantities"]["R"]
-    assert (value, sigma, unit) == (loaded.resistance, loaded.sigma_resistance, "Ω")
+    assert (value, sigma, unit) == (1e3 * loaded.resistance, 1e3 * loaded.sigma_resistance, "mΩ")
     assert text == str(next(q for q in fitted.headline if q.name == "R"))
     assert (rows[1]["machine"], rows[1]["serial"], rows[1]["method"]) == ("ipm", "17", "joint")
 

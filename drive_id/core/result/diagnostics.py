@@ -20,9 +20,11 @@ from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import gather, score
 from drive_id.core.validation.residuals import (
     AngleBins,
+    PlaneBins,
     Residual,
     TimeBins,
     over_angle,
+    over_plane,
     over_time,
     residual_voltage,
 )
@@ -64,6 +66,7 @@ class Diagnostics:
     over_angle: AngleBins  # residual voltage over the rotor position
     over_time: TimeBins  # residual voltage over the time of data
     residual_rms: float  # over windows of a few degrees, d and q alike, V: the same measure for all methods
+    over_plane: PlaneBins | None  # residual voltage over the currents; None of results of earlier versions
     trajectory: FloatArray  # (N, 2), measured i_dq, A, decimated; NaN after each gap-free run
     simulated: SimulatedCurrent | None = None  # None where no current was simulated
     comparisons: tuple[ComparedMethod, ...] = ()  # the paper's methods, except the result's own one
@@ -87,6 +90,7 @@ def diagnose(
     return Diagnostics(
         over_angle=over_angle(residual),
         over_time=over_time(residual),
+        over_plane=over_plane(residual, drive.i_max),
         residual_rms=_rms(residual),
         trajectory=thinned_trajectory(excerpts, _TRAJECTORY),
         simulated=drive.simulated,
@@ -112,12 +116,12 @@ def drive_residual(drive: IdentifiedDrive, excerpts: Sequence[Samples]) -> Resid
     def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
         return drive.flux(i_dq) + drive.flux_map.ripple(drive.harmonics, i_dq, angle)
 
-    found, start = [Residual(np.zeros(0), np.zeros((0, 2)), np.zeros(0))], 0.0
+    found, start = [], 0.0
     for part in drive.corrected(excerpts):
         residual = residual_voltage(part, flux, drive.resistance, curve)
         found.append(residual._replace(time=start + residual.time))
         start += part.duration
-    return Residual(*(np.concatenate(arrays) for arrays in zip(*found, strict=True)))
+    return Residual.joined(found)
 
 
 def _rms(residual: Residual) -> float:

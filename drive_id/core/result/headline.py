@@ -55,7 +55,7 @@ def headline(
     if pole_pairs:
         points = {point.where(drive): point for point in (loaded if wanted else None, peak) if point}
         found += [quantity for point in points.values() for quantity in point.torques(drive, pole_pairs)]
-    return (*found, *_of_shaft(drive))
+    return tuple(replace(q, size=drive.sizes.get(q.unit, math.nan)) for q in (*found, *_of_shaft(drive)))
 
 
 def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:

@@ -57,6 +57,11 @@ class FluxMap:
         size = f"{len(self.i_d)} x {len(self.i_q)}"
         return f"<FluxMap {size}, i_d {d}, i_q {q}, data at {self.inside.sum()} points>"
 
+    @cached_property
+    def largest(self) -> float:
+        """Largest amplitude of the flux linkage where there are data, Wb; 0 without data."""
+        return float(np.hypot(self.psi_d, self.psi_q)[self.inside].max(initial=0.0))
+
     def grid(self) -> FloatArray:
         """Return the currents of all grid points, (D, Q, 2), A."""
         return np.stack(np.meshgrid(self.i_d, self.i_q, indexing="ij"), axis=-1)
@@ -374,6 +379,18 @@ class IdentifiedDrive(Parameters):
     def origin(self) -> Origin:
         """What results of this method hold, and the words for it."""
         return ORIGINS[self.method]
+
+    @cached_property
+    def sizes(self) -> dict[str, float]:
+        """Sizes by SI unit, of this drive's fluxes, inductances and R, by which all values of a kind have one unit."""
+        found = self.flux_map
+        i_d, i_q = found.grid()[found.inside].T
+        slopes = found.inductances(i_d, i_q)
+        steepest = np.maximum(slopes[..., 0, 0], slopes[..., 1, 1])
+        known = steepest[np.isfinite(steepest)]
+        inductance = float(np.median(known)) if known.size else 0.0
+        sizes = {"Wb": found.largest, "Wb/K": found.largest, "H": inductance, "Ω": abs(self.resistance)}
+        return {unit: size for unit, size in sizes.items() if size > 0}
 
     @property
     def sigma_drop(self) -> FloatArray | None:

@@ -56,7 +56,9 @@ def compared(one: IdentifiedDrive, other: IdentifiedDrive, seconds: float) -> Co
         (first, error_1), (second, error_2) = pair
         if not math.isfinite(first + second):
             continue
-        said = f"{name} is {measured(first, error_1, unit)} before and {measured(second, error_2, unit)} after"
+        size = max(abs(first), abs(second))
+        before, after = measured(first, error_1, unit, size), measured(second, error_2, unit, size)
+        said = f"{name} is {before} before and {after} after"
         texts.append(said)
         least = _least(one, other) if name == "psi_PM" else 0.0
         tolerated = (heat * slope + model) * max(abs(first), abs(second), least)
@@ -80,11 +82,7 @@ def magnet_flux(flux_map: FluxMap) -> tuple[float, float]:
 
 def _least(one: IdentifiedDrive, other: IdentifiedDrive) -> float:
     """Return the flux of a magnet, Wb, from which on it counts as one."""
-    return _FLUX_FLOOR * max(_largest(one.flux_map), _largest(other.flux_map))
-
-
-def _largest(flux_map: FluxMap) -> float:
-    return float(np.hypot(flux_map.psi_d, flux_map.psi_q)[flux_map.inside].max(initial=0.0))
+    return _FLUX_FLOOR * max(one.flux_map.largest, other.flux_map.largest)
 
 
 def _map_distance(one: FluxMap, other: FluxMap) -> tuple[float, float]:
@@ -97,6 +95,6 @@ def _map_distance(one: FluxMap, other: FluxMap) -> tuple[float, float]:
         return 0.0, math.inf
     square = (one.psi_d - other.psi_d) ** 2 + (one.psi_q - other.psi_q) ** 2
     told = _SIGNIFICANT**2 * (one.sigma_d**2 + one.sigma_q**2 + other.sigma_d**2 + other.sigma_q**2)
-    largest = max(_largest(one), _largest(other))
+    largest = max(one.largest, other.largest)
     distance, error = float(np.median(np.maximum(square - told, 0.0)[both])), float(np.median(told[both]))
     return math.sqrt(distance) / largest, math.sqrt(error) / largest

@@ -9,7 +9,8 @@ is evaluated with quadrature rules of its own and shares no code with the regres
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,20 @@ class Residual(NamedTuple):
     """(W, 2) commanded minus explained voltage, d and q at that angle, V."""
     time: FloatArray
     """(W,) time of data at the middle of each window, s: gaps are left out."""
+    i_dq: FloatArray
+    """(W, 2) measured current at the middle of each window, A."""
+    commanded: FloatArray
+    """(W,) amplitude of the mean voltage that was commanded, V."""
+
+    @classmethod
+    def none(cls) -> Residual:
+        """Return the residual of no windows."""
+        return cls(np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)), np.zeros(0))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Residual]) -> Residual:
+        """Put the windows of several parts one after the other."""
+        return cls(*(np.concatenate(arrays) for arrays in zip(cls.none(), *parts, strict=True)))
 
 
 class TimeBins(NamedTuple):
@@ -54,6 +69,21 @@ class AngleBins(NamedTuple):
     """(B, 2), V."""
     rms: FloatArray
     """(B, 2), V; of everything in the bin, its mean included."""
+
+
+class PlaneBins(NamedTuple):
+    """Statistics over square cells of the current plane; NaN in empty cells."""
+
+    i_d: FloatArray
+    """(D,) centres, A, equally spaced."""
+    i_q: FloatArray
+    """(Q,) centres, A, likewise."""
+    mean: FloatArray
+    """(D, Q, 2), V."""
+    rms: FloatArray
+    """(D, Q, 2), V; of everything in the cell, its mean included."""
+    commanded: float
+    """Voltage that was commanded, rms over all windows, d and q alike, V: what the residual is a share of."""
 
 
 def residual_voltage(
@@ -94,7 +124,8 @@ def residual_voltage(
     at_samples, between = drop_s(samples.i_abc), drop_s((samples.i_abc[1:] + samples.i_abc[:-1]) / 2)
     loss = resistance * (i_s[1:] + i_s[:-1]) / 2 + (at_samples[1:] + at_samples[:-1] + 4 * between) / 6
     balance = np.append(0j, np.cumsum(period * (u_s[:-1] - loss)))
-    angles, voltages, times = [np.zeros(0)], [np.zeros((0, 2))], [np.zeros(0)]
+    commanded = np.append(0j, np.cumsum(period * u_s[:-1]))
+    parts = []
     for run in samples.runs():
         turn = float(np.abs(samples.speed[run]).mean()) * period
         length = max(1, int(min(span / turn if turn else np.inf, _LONGEST / period)))
@@ -105,10 +136,16 @@ def residual_voltage(
         psi_s = (psi[:, 0] + 1j * psi[:, 1]) * np.exp(1j * angle)
         middle = angle[:-1] + np.angle(np.exp(1j * np.diff(angle))) / 2
         residual = np.diff(balance[ends] - psi_s) / (length * period)
-        angles.append(middle)
-        voltages.append(frames.as_pairs(residual * np.exp(-1j * middle)))
-        times.append(period * (ends[:-1] + ends[1:]) / 2)
-    return Residual(np.concatenate(angles), np.concatenate(voltages), np.concatenate(times))
+        parts.append(
+            Residual(
+                middle,
+                frames.as_pairs(residual * np.exp(-1j * middle)),
+                period * (ends[:-1] + ends[1:]) / 2,
+                (i_dq[:-1] + i_dq[1:]) / 2,
+                np.abs(np.diff(commanded[ends])) / (length * period),
+            )
+        )
+    return Residual.joined(parts)
 
 
 def over_angle(residual: Residual, bins: int = 72) -> AngleBins:
@@ -140,6 +177,25 @@ def over_time(residual: Residual, bins: int = 400) -> TimeBins:
     place = np.minimum((residual.time / end * bins).astype(np.int64), bins - 1)
     _, mean, rms = _binned(place, residual.voltage, bins)
     return TimeBins((np.arange(bins) + 0.5) * end / bins, mean, rms)
+
+
+def over_plane(residual: Residual, i_max: float, bins: int = 24) -> PlaneBins:
+    """Average a residual in square cells of the current plane.
+
+    Parameters
+    ----------
+    i_max : float
+        Radius of the disc that the cells cover, A; currents beyond it count in the outermost.
+    bins : int
+        Cells from -i_max to i_max; fewer when a disc of them would hold less than eight windows each.
+    """
+    windows = len(residual.time)
+    bins = max(2, min(bins, int(math.sqrt(windows / 8))))
+    column, row = np.clip(((residual.i_dq / i_max + 1) * bins / 2).astype(np.int64), 0, bins - 1).T
+    _, mean, rms = _binned(column * bins + row, residual.voltage, bins**2)
+    axis = i_max * ((np.arange(bins) + 0.5) * 2 / bins - 1)
+    commanded = float(np.sqrt(np.mean(residual.commanded**2) / 2)) if windows else math.nan
+    return PlaneBins(axis, axis, mean.reshape(bins, bins, 2), rms.reshape(bins, bins, 2), commanded)
 
 
 def _binned(place: IntArray, voltage: FloatArray, bins: int) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core.result.diagnostics import ComparedMethod, Diagnostics
-from drive_id.core.validation.residuals import AngleBins, TimeBins
+from drive_id.core.validation.residuals import AngleBins, PlaneBins, TimeBins
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.errors import ResultError
 from drive_id.files.inputs.archive import npz_bytes, read_arrays
@@ -30,6 +30,8 @@ def diagnostics_bytes(diagnostics: Diagnostics) -> bytes:
     arrays: dict[str, Any] = {"format_version": _FORMAT_VERSION, "residual_rms": diagnostics.residual_rms}
     arrays |= _prefixed("angle", diagnostics.over_angle._asdict())
     arrays |= _prefixed("time", diagnostics.over_time._asdict())
+    if diagnostics.over_plane is not None:
+        arrays |= _prefixed("plane", diagnostics.over_plane._asdict())
     arrays["trajectory"] = _single(diagnostics.trajectory)
     if diagnostics.simulated is not None:
         simulated = diagnostics.simulated
@@ -72,6 +74,7 @@ def read_diagnostics(content: bytes, shape: tuple[int, ...]) -> Diagnostics | No
     return Diagnostics(
         over_angle=AngleBins(*angle),
         over_time=TimeBins(*time),
+        over_plane=_plane(arrays),
         residual_rms=float(arrays["residual_rms"]),
         trajectory=trajectory,
         simulated=simulated,
@@ -104,9 +107,20 @@ def _table(arrays: Mapping[str, NDArray[Any]], prefix: str, axis: str, width: in
     return found
 
 
-def _prefixed(prefix: str, arrays: Mapping[str, FloatArray]) -> dict[str, NDArray[np.float32]]:
+def _plane(arrays: Mapping[str, NDArray[Any]]) -> PlaneBins | None:
+    """Return the residual over the current plane; None of a file of an earlier version."""
+    if "plane_i_d" not in arrays:
+        return None
+    i_d, i_q, mean, rms, commanded = (np.asarray(arrays[f"plane_{name}"], np.float64) for name in PlaneBins._fields)
+    shape = (*i_d.shape, *i_q.shape, 2)
+    if i_d.ndim != 1 or mean.shape != shape or rms.shape != shape or commanded.ndim:
+        raise ResultError("the residuals over the current plane do not fit their cells")
+    return PlaneBins(i_d, i_q, mean, rms, float(commanded))
+
+
+def _prefixed(prefix: str, arrays: Mapping[str, FloatArray | float]) -> dict[str, NDArray[np.float32]]:
     return {f"{prefix}_{name}": _single(values) for name, values in arrays.items()}
 
 
-def _single(values: FloatArray) -> NDArray[np.float32]:
+def _single(values: FloatArray | float) -> NDArray[np.float32]:
     return np.asarray(values, np.float32)

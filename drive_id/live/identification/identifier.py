@@ -426,7 +426,8 @@ def _fit_live(
 
 def _sentence(identification: IdentifiedDrive) -> str:
     report = identification.report
-    resistance = measured(identification.resistance, identification.sigma_resistance, "Ω")
+    size = abs(identification.resistance)
+    resistance = measured(identification.resistance, identification.sigma_resistance, "Ω", size)
     drop = measured(identification.voltage_error, identification.sigma_voltage_error, "V")
     drop = f", inverter drop {drop}" if identification.origin.inverter else ""
     return (

@@ -6,7 +6,7 @@ significant digits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -17,7 +17,7 @@ from drive_id.core.result.identification import FluxMap
 from drive_id.pictures.panels import COLOURS
 from drive_id.quantity import plain, scaled_unit
 from drive_id.reporting.page.content import map_difference
-from drive_id.reporting.page.operation import TorqueMap, with_enclosed
+from drive_id.reporting.page.operation import LossMap, TorqueMap
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 
@@ -46,7 +46,7 @@ def charts_of(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
 
 def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
     """Return axes, quantities over them, and where there are data."""
-    found = with_enclosed(result).flux_map
+    found = result.enclosed.flux_map
     rows, columns = _thinned(len(found.i_d)), _thinned(len(found.i_q))
     at = np.ix_(rows, columns)
     known = found.inside[at]
@@ -73,8 +73,10 @@ def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
             pairs["Torque ripple, peak to peak"] = [("ripple", "ripple", "Nm", operation.ripple[at], None)]
         torque, sigma = _torque(result, found)
         pairs["Torque"] = [("torque", "torque", "Nm", torque[at], sigma[at])]
+        if operation.losses is not None:
+            pairs |= _losses(operation.losses, at)
     pairs = {heading: parts for heading, parts in pairs.items() if parts}
-    quantities = [quantity for parts in pairs.values() for quantity in _quantities(parts, known)]
+    quantities = [q for parts in pairs.values() for q in _quantities(parts, known, result.drive.sizes)]
     trajectory = result.diagnostics.trajectory if result.diagnostics else np.zeros((0, 2))
     return {
         "i_d": _listed(found.i_d[rows]),
@@ -85,6 +87,15 @@ def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
         "views": [{"label": heading, "parts": [part[0] for part in parts]} for heading, parts in pairs.items()],
         "trajectory": {"i_d": _listed(trajectory[:, 0]), "i_q": _listed(trajectory[:, 1])},
     }
+
+
+def _losses(found: LossMap, at: Any) -> dict[str, list[_Part]]:
+    """Return the losses as views: those of winding and inverter side by side, that of the iron with its speed."""
+    parts = {name: (name, f"{name} loss", "W", *(x[at] for x in maps)) for name, maps in found.losses.items()}
+    views = {"Losses of winding and inverter": [parts[name] for name in ("copper", "inverter") if name in parts]}
+    if "iron" in parts:
+        views[f"Iron loss at {found.speed * _RPM:.4g} rpm"] = [parts["iron"]]
+    return views
 
 
 def _inductance(element: str, values: FloatArray, errors: FloatArray) -> _Part:
@@ -115,11 +126,11 @@ def _torque(result: Result, found: FluxMap) -> tuple[FloatArray, FloatArray]:
     return torque, np.where(found.inside, sigma, np.nan)
 
 
-def _quantities(parts: Sequence[_Part], known: BoolArray) -> Iterator[dict[str, Any]]:
-    """Yield quantities that are shown side by side, by their size in one unit."""
+def _quantities(parts: Sequence[_Part], known: BoolArray, sizes: Mapping[str, float]) -> Iterator[dict[str, Any]]:
+    """Yield quantities that are shown side by side, in the unit of the result or else by their size in one."""
     largest = max(float(np.abs(part[3][known]).max(initial=0.0)) for part in parts)
     for name, label, unit, values, sigma in parts:
-        scale, prefixed = scaled_unit(largest, unit)
+        scale, prefixed = scaled_unit(sizes.get(unit, largest), unit)
         told = sigma is not None and bool(np.isfinite(sigma).any())
         yield {
             "name": name,
@@ -150,7 +161,7 @@ def _comparison(result: Result) -> dict[str, Any] | None:
         if other.psi_d is None:
             continue
         apart = [np.where(found.inside, x, np.nan)[at] for x in map_difference(result, other)]
-        scale, unit = scaled_unit(max(float(np.nanmax(np.abs(x), initial=0.0)) for x in apart), "Wb")
+        scale, unit = scaled_unit(result.drive.sizes.get("Wb", 0.0), "Wb")
         fluxes = {f"psi_{c}": _listed(scale * z.T) for c, z in zip("dq", apart, strict=True)}
         methods.append({"name": other.method, "unit": unit, **fluxes})
     if not methods:
@@ -176,10 +187,21 @@ def _residuals(result: Result) -> dict[str, Any] | None:
     judged = result.diagnostics
     if judged is None or not np.isfinite(judged.over_time.mean).any():
         return None
-    time, angle = judged.over_time, judged.over_angle
+    time, angle, plane = judged.over_time, judged.over_angle, judged.over_plane
     return {
         "time": {"x": _listed(time.time), **_components(mean=time.mean, rms=time.rms)},
         "angle": {"x": _listed(np.rad2deg(angle.angle)), **_components(mean=angle.mean, rms=angle.rms)},
+        "plane": plane
+        and {
+            "i_d": _listed(plane.i_d),
+            "i_q": _listed(plane.i_q),
+            "commanded": plain(plane.commanded, 4),
+            **{
+                f"{name}_{c}": _listed(x[..., k].T)
+                for name, x in (("mean", plane.mean), ("rms", plane.rms))
+                for k, c in enumerate("dq")
+            },
+        },
     }
 
 

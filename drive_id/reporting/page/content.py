@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from drive_id.core.result.diagnostics import ComparedMethod
 from drive_id.files.results.identification import Provenance, results_tree
 from drive_id.messages import Message
 from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
-from drive_id.quantity import Quantity, measured
+from drive_id.quantity import Quantity, measured, rounded
 from drive_id.reporting.page.operation import TorqueMap
 from drive_id.reporting.tables import shaft_rows
 from drive_id.result.advice import single_speed, sorted_statements
@@ -85,6 +86,7 @@ class Content:
     versions: TextTable
     operation: TextTable
     drop: str  # what the inverter's drop amounts to; empty where the DC link is not known
+    residual: str  # how large the residual is beside the voltage; empty where it is not known
     comparison: str  # a sentence on what modelling the inverter changes; empty where it is not known
     paragraph: str  # of method, to paste
     missing: dict[str, str]  # section to why it shows nothing
@@ -125,6 +127,7 @@ def content_of(result: Result, operation: TorqueMap | None) -> Content:
             tuple((name, str(version)) for name, version in twin["versions"].items()),
         ),
         drop=_drop(result),
+        residual=_residual(result),
         comparison=_comparison(result),
         paragraph=_paragraph(result),
         operation=_operation(operation),
@@ -138,13 +141,6 @@ def _answer(found: tuple[Quantity, ...]) -> tuple[Quantity, ...]:
     first = [next((q for q in found if q.name.startswith(name)), None) for name in _ANSWER]
     chosen = [q for q in first if q is not None]
     return (*chosen, *(q for q in found if q not in chosen))[: len(_ANSWER)]
-
-
-def largest_flux(result: Result) -> float:
-    """Return the largest amplitude of the flux linkage where there are data, Wb; NaN without data."""
-    found = result.flux_map
-    amplitude = np.hypot(found.psi_d, found.psi_q)[found.inside]
-    return float(amplitude.max()) if amplitude.size else math.nan
 
 
 def flux_sigma(result: Result) -> float:
@@ -170,7 +166,7 @@ def _without_folders(known: Provenance) -> Provenance:
 
 def _figures(result: Result) -> tuple[Merit, ...]:
     metrics, origin = result.metrics, result.origin
-    flux, sigma = largest_flux(result), flux_sigma(result)
+    flux, sigma = result.flux_map.largest, flux_sigma(result)
     count, coverage = len(result.warnings), metrics["coverage"]
     found = [
         Merit("Warnings", str(count), level(count, 0, 2), "Each is a sentence below that says what to do."),
@@ -181,10 +177,10 @@ def _figures(result: Result) -> tuple[Merit, ...]:
     ]  # fmt: skip
     if origin.fitted or math.isfinite(sigma):
         said = "Median over the map, of the largest flux."
-        found.append(_share("Standard error of the flux", sigma / flux, 0.002, 0.01, said))
+        found.append(_share("Standard error of the flux", sigma / flux if flux else math.nan, 0.002, 0.01, said))
     if origin.fitted:
         known = result.sigma_resistance / max(abs(result.resistance), 1e-12)
-        said = f"R = {measured(result.resistance, result.sigma_resistance, 'Ω')}."
+        said = f"R = {result.told(result.resistance, result.sigma_resistance, 'Ω')}."
         found.append(_share("Standard error of R", known, 0.02, 0.1, said))
     if origin.diagnostics:
         mad = max(metrics["mad_d"], metrics["mad_q"]) / result.i_max
@@ -222,7 +218,7 @@ def _values(result: Result) -> TextTable:
     if not math.isfinite(result.resistance):
         rows.append(("R", "unknown"))
     if drive.magnet_coefficient is not None:
-        rows.append(("Magnet flux per kelvin", measured(*drive.magnet_coefficient, "Wb/K")))
+        rows.append(("Magnet flux per kelvin", result.told(*drive.magnet_coefficient, "Wb/K")))
     if result.harmonics:
         rows.append(("Rotor-position harmonics", ", ".join(str(h.order) for h in result.harmonics)))
     if result.torque is not None:
@@ -281,7 +277,7 @@ def _methods(result: Result) -> TextTable:
             nrmse_q=metrics["nrmse_q"],
         )
         every = sorted([own, *judged.comparisons], key=lambda found: list(ORIGINS).index(found.method))
-        rows = [_method_row(found, own=found is own) for found in every]
+        rows = [_method_row(found, result.told, own=found is own) for found in every]
     return TextTable(
         "The same data with and without a model of the inverter",
         ("Method", "R", "Inverter drop", "Residual, rms", "Mean error of simulated i_d / i_q", "NRMSE ψ_d / ψ_q"),
@@ -289,7 +285,7 @@ def _methods(result: Result) -> TextTable:
     )
 
 
-def _method_row(found: ComparedMethod, *, own: bool) -> tuple[str, ...]:
+def _method_row(found: ComparedMethod, told: Callable[..., str], *, own: bool) -> tuple[str, ...]:
     origin = origin_named(found.method)
     name = f"{origin.title}{' (this result)' if own else ''}"
     if found.failure:
@@ -297,7 +293,7 @@ def _method_row(found: ComparedMethod, *, own: bool) -> tuple[str, ...]:
     pair = math.isfinite(found.nrmse_d)
     return (
         name,
-        measured(found.resistance, found.sigma_resistance, "Ω"),
+        told(found.resistance, found.sigma_resistance, "Ω"),
         measured(found.voltage_error, found.sigma_voltage_error, "V") if origin.inverter else "not modelled",
         measured(found.residual_rms, unit="V"),
         f"{number(found.mad_d, 3)} / {number(found.mad_q, 3)} A" if math.isfinite(found.mad_d) else "unknown",
@@ -315,11 +311,23 @@ def _comparison(result: Result) -> str:
     apart = map_difference(result, other)
     inside = result.flux_map.inside
     largest = max(float(np.abs(values[inside]).max(initial=0.0)) for values in apart)
-    share = percent(largest / largest_flux(result))
-    change = measured(abs(other.resistance - result.resistance), unit="Ω")
+    share = percent(largest / result.flux_map.largest)
+    change = result.told(abs(other.resistance - result.resistance), unit="Ω")
     return (
-        f"The map of method {other.method} differs from this one by up to {measured(largest, unit='Wb')} ({share} of "
-        f"the largest flux), and its R by {change}."
+        f"The map of method {other.method} differs from this one by up to {result.told(largest, unit='Wb')} "
+        f"({share} of the largest flux), and its R by {change}."
+    )
+
+
+def _residual(result: Result) -> str:
+    """Say how large the residual is beside the voltage that was commanded."""
+    judged = result.diagnostics
+    if judged is None or judged.over_plane is None or not judged.over_plane.commanded > 0:
+        return ""
+    size, commanded = judged.residual_rms, judged.over_plane.commanded
+    return (
+        f"The residual is {measured(size, unit='V')} rms, {percent(size / commanded)} of the commanded "
+        f"{measured(commanded, unit='V')} rms."
     )
 
 
@@ -334,7 +342,7 @@ def _calibrations(result: Result) -> TextTable:
     rows = (
         (
             found.name.replace("_", " "),
-            measured(found.value, found.sigma, found.unit),
+            result.told(found.value, found.sigma, found.unit),
             "corrected" if found.applied else "not corrected",
         )
         for found in result.calibrations
@@ -445,7 +453,7 @@ def _paragraph(result: Result) -> str:
     sentences = [first, origin.summary]
     if math.isfinite(result.resistance):
         error = " (± standard error)" if math.isfinite(result.sigma_resistance) else ""
-        resistance = measured(result.resistance, result.sigma_resistance, "Ω")
+        resistance = result.told(result.resistance, result.sigma_resistance, "Ω")
         included = "; R includes the linear part of this drop" if drop else ""
         sentences.append(f"R = {resistance}{drop}{error}{included}.")
     if result.harmonics:
@@ -453,9 +461,9 @@ def _paragraph(result: Result) -> str:
         sentences.append(f"Rotor-position harmonics of electrical orders {orders} are separate from the mean map.")
     sigma = flux_sigma(result)
     if math.isfinite(sigma):
-        share = percent(sigma / largest_flux(result))
+        share = percent(sigma / result.flux_map.largest)
         sentences.append(
-            f"The median standard error of the flux is {measured(sigma, unit='Wb')} ({share} of its largest value)."
+            f"The median standard error of the flux is {result.told(sigma, unit='Wb')} ({share} of its largest value)."
         )
     judged = [f"The data cover {percent(metrics['coverage'])} of the disc"]
     if math.isfinite(metrics["mad_d"]):
@@ -471,7 +479,7 @@ def number(value: float | None, digits: int = 4) -> str:
     """Return a number to some significant digits, with a true minus sign; ``unknown`` where it is not finite."""
     if value is None or not math.isfinite(value):
         return "unknown"
-    return f"{value:.{digits}g}".replace("-", "\N{MINUS SIGN}")
+    return rounded(value, digits).replace("-", "\N{MINUS SIGN}")
 
 
 def percent(share: float) -> str:

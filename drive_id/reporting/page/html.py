@@ -16,6 +16,7 @@ from drive_id.reporting.page.content import SECTIONS, Content
 from drive_id.version import VERSION
 
 _SYMBOL = re.compile(r"\b(ψ|i|u|L|T|sigma|σ)_(PM|max|dc|[dq]{1,2})\b")
+_NUMBER = re.compile(r"[\d\N{MINUS SIGN}][\S ]{0,23}$")
 GENERATOR = "drive_id report"
 """By which an earlier report is known."""
 
@@ -39,6 +40,11 @@ def with_subscripts(text: object) -> str:
     return _SYMBOL.sub(r"\1<sub>\2</sub>", escape(str(text)))
 
 
+def whole(cell: str) -> str:
+    """Return the text of a cell; that of a number with its unit is not broken between lines."""
+    return cell.replace(" ", "\N{NO-BREAK SPACE}") if _NUMBER.match(cell) else cell
+
+
 def filled(template: str, **values: Any) -> str:
     """Return one of our templates, filled with values and the name of its generator."""
     environment = jinja2.Environment(
@@ -48,7 +54,7 @@ def filled(template: str, **values: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["sub"] = with_subscripts
+    environment.filters |= {"sub": with_subscripts, "whole": whole}
     return environment.get_template(template).render(generator=f"{GENERATOR} {VERSION}", **values)
 
 

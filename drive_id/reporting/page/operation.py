@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.analysis.bands import combined
 from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelope, references, top_speed
 from drive_id.analysis.machine import MachineModel
+from drive_id.analysis.operation import Operation, changes
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.trajectories import CurrentLocus, mtpa, mtpv
 from drive_id.result.result import Result
@@ -36,6 +38,41 @@ class SpeedMap:
 
 
 @dataclass(frozen=True, eq=False)
+class LossMap:
+    """Losses over the current plane, on the grid of the flux map; NaN where there are no data.
+
+    Parameters
+    ----------
+    speed : float
+        To which the iron loss belongs, mechanical, rad/s; NaN where no iron loss was identified.
+    losses : dict of str to ((D, Q), (D, Q)) of float
+        By name, ``copper``, ``inverter`` and ``iron``: W, and the standard error, W; without those that are zero.
+    """
+
+    speed: float
+    losses: dict[str, tuple[FloatArray, FloatArray]]
+
+    @classmethod
+    def of(cls, result: Result, model: MachineModel, corner: float) -> LossMap | None:
+        """Evaluate at the corner speed, or where it is unknown at the highest recorded one; None without R."""
+        if not math.isfinite(model.resistance):
+            return None
+        found = result.flux_map
+        recorded = max(map(abs, result.speed_range or (0.0,))) / model.known_pole_pairs()
+        rpm = 30 / math.pi
+        speed = float(f"{(corner if corner > 0 else recorded) * rpm:.2g}") / rpm
+        points = Operation.at(model, found.grid(), np.asarray(speed))
+        names = [name for name in ("copper", "inverter", "iron") if np.any(getattr(points, name))]
+        changed = changes(model, points, names, of_stator=False) or {}
+        losses = {}
+        for name in names:
+            sigma = combined(changed[name]) if name in changed else np.full(found.inside.shape, np.nan)
+            value = getattr(points, name)
+            losses[name] = (np.where(found.inside, value, np.nan), np.where(found.inside, sigma, np.nan))
+        return cls(speed if "iron" in losses else math.nan, losses)
+
+
+@dataclass(frozen=True, eq=False)
 class TorqueMap:
     """Torque and the lines of operation of a machine whose pole pairs are known."""
 
@@ -43,6 +80,7 @@ class TorqueMap:
     corner: float  # speed up to which the voltage allows MTPA at i_max, mechanical, rad/s; NaN where unknown
     lines: dict[str, CurrentLocus]  # MTPA in both directions of torque, and MTPV, as far as there are data
     ripple: FloatArray | None  # (D, Q), peak to peak, Nm; None without rotor-position harmonics
+    losses: LossMap | None  # None when the resistance is unknown
     speeds: SpeedMap | None  # None when the DC-link voltage or the resistance is unknown
 
 
@@ -50,7 +88,7 @@ def torque_map(result: Result) -> TorqueMap | None:
     """Return torque and lines of operation; None when the pole pairs are unknown, or the rotor was locked."""
     if result.pole_pairs is None or not result.origin.turning:
         return None
-    result = with_enclosed(result)
+    result = result.enclosed
     model, found = MachineModel.of(result), result.flux_map
     torque = model.torque(found.i_d[:, None], found.i_q)
     trajectories = {
@@ -67,21 +105,9 @@ def torque_map(result: Result) -> TorqueMap | None:
         corner,
         {name: line for name, line in lines.items() if len(line) > 1},
         _ripple(result, model) if result.harmonics else None,
+        LossMap.of(result, model, corner),
         _speed_map(model, limits, corner) if limits else None,
     )
-
-
-def with_enclosed(result: Result) -> Result:
-    """Let the map hold also where samples only enclose the current: its standard error tells how well it is known."""
-    found, modes = result.flux_map, result.drive.error_modes
-    if modes is None or not (beyond := modes.known & ~found.inside).any():
-        return result
-    sigma_d, sigma_q = (
-        np.where(beyond, np.linalg.norm(errors, axis=0), own)
-        for errors, own in ((modes.psi_d, found.sigma_d), (modes.psi_q, found.sigma_q))
-    )
-    wider = replace(found, inside=found.inside | beyond, sigma_d=sigma_d, sigma_q=sigma_q)
-    return replace(result, drive=replace(result.drive, flux_map=wider))
 
 
 def _ripple(result: Result, model: MachineModel) -> FloatArray:

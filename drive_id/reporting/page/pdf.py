@@ -54,10 +54,10 @@ def rendered_pdf(content: Content, figures: Mapping[str, Figure]) -> bytes:
     sheets.table(content.methods, (0.26, 0.16, 0.16, 0.12, 0.14, 0.16))
     for name in ("inverter", "residuals", "currents", "operation"):
         sheets.heading(SECTIONS[name], figures.get(name))
-        sheets.text(content.missing.get(name, ""))
+        sheets.text(content.missing.get(name, content.residual if name == "residuals" else ""))
         sheets.picture(figures.get(name))
     sheets.table(content.operation, (0.3, 0.12, 0.12, 0.12, 0.14, 0.2))
-    for name in ("efficiency", "mtpv"):
+    for name in ("losses", "efficiency", "mtpv"):
         sheets.text(content.missing.get(name, ""))
         sheets.picture(figures.get(name))
     sheets.heading(SECTIONS["identifiable"])

@@ -5,14 +5,28 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
 from drive_id.core.result.diagnostics import ComparedMethod, Diagnostics
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.pictures.diagnostics import COLOUR, LIGHT, draw_inverter, draw_residual
-from drive_id.pictures.panels import COLOURS, CURRENT, PSI, SMALL, Disc, add_colour_bar, draw_field, name, place
+from drive_id.pictures.panels import (
+    COLOURS,
+    CURRENT,
+    PSI,
+    SMALL,
+    Disc,
+    add_colour_bar,
+    draw_field,
+    levels,
+    name,
+    name_currents,
+    place,
+)
 from drive_id.pictures.plots import WIDTH, draw_flux_maps
+from drive_id.quantity import scaled_unit
 from drive_id.reporting.page.content import map_difference
-from drive_id.reporting.page.operation import SpeedMap, TorqueMap, with_enclosed
+from drive_id.reporting.page.operation import LossMap, SpeedMap, TorqueMap
 from drive_id.result.result import Result
 
 
@@ -25,7 +39,7 @@ def figures_of(result: Result, operation: TorqueMap | None) -> dict[str, Figure]
         if others:
             found["comparison"] = _draw_comparison(result, others[0])
         if np.isfinite(judged.over_time.mean).any():
-            found["residuals"] = _draw_residuals(judged)
+            found["residuals"] = _draw_residuals(judged, result.i_max)
         if judged.simulated is not None:
             found["currents"] = _draw_currents(judged.simulated)
     if drive.origin.inverter and np.any(drive.inverter_voltage):
@@ -35,6 +49,8 @@ def figures_of(result: Result, operation: TorqueMap | None) -> dict[str, Figure]
         for axes in found["map"].axes:
             _draw_lines(axes, operation)
         found["operation"] = _draw_operation(result, operation)
+        if operation.losses is not None:
+            found["losses"] = _draw_losses(result, operation.losses)
         if operation.speeds is not None:
             found["efficiency"] = _draw_efficiency(operation.speeds)
     return found
@@ -44,16 +60,19 @@ def _draw_comparison(result: Result, other: ComparedMethod) -> Figure:
     """Draw the maps of another method minus those of the result."""
     figure = Figure(figsize=(WIDTH, 3.3))
     disc = Disc(result.flux_map, result.i_max)
+    scale, unit = scaled_unit(result.flux_map.largest, "Wb")
     for left, component, apart in zip((0.65, 4.17), "dq", map_difference(result, other), strict=True):
         axes = place(figure, left, 0.5, 2.3, 2.4)
-        title = f"{PSI[component]}: {other.method} minus {result.method} / mWb"
-        draw_field(axes, disc, 1e3 * apart, title, symmetric=True)
+        title = f"{PSI[component]}: {other.method} minus {result.method} / {unit}"
+        draw_field(axes, disc, scale * apart, title, symmetric=True)
     return figure
 
 
-def _draw_residuals(judged: Diagnostics) -> Figure:
-    figure = Figure(figsize=(WIDTH, 4.6))
-    axes, time = place(figure, 0.65, 2.8, 6.35, 1.5), judged.over_time
+def _draw_residuals(judged: Diagnostics, i_max: float) -> Figure:
+    plane = judged.over_plane
+    low = 0.0 if plane is None else 3.2
+    figure = Figure(figsize=(WIDTH, low + 4.6))
+    axes, time = place(figure, 0.65, low + 2.8, 6.35, 1.5), judged.over_time
     name(axes, "Residual voltage over time", "time of data / s", "residual / V")
     for number, component in enumerate("dq"):
         for values, width, label in ((time.mean, 1.0, "mean"), (time.rms, 0.5, "rms")):
@@ -61,7 +80,17 @@ def _draw_residuals(judged: Diagnostics) -> Figure:
                 time.time, values[:, number], color=COLOUR[component], linewidth=width, label=f"{component}: {label}"
             )
     _finished(axes)
-    draw_residual(place(figure, 0.65, 0.5, 6.35, 1.5), judged.over_angle)
+    draw_residual(place(figure, 0.65, low + 0.5, 6.35, 1.5), judged.over_angle)
+    if plane is None:
+        return figure
+    ticks = levels(0.0, float(np.nanmax(plane.rms)), 8)
+    for left, component, values in zip((0.65, 4.17), "dq", plane.rms.T, strict=True):
+        axes = place(figure, left, 0.5, 2.3, 2.3)
+        drawn = axes.pcolormesh(plane.i_d, plane.i_q, values, cmap=COLOURS, vmin=0.0, vmax=ticks[-1], shading="nearest")
+        axes.add_patch(Circle((0, 0), i_max, fill=False, linewidth=0.8))
+        axes.set_aspect("equal")
+        name_currents(axes, f"Residual in {component}, rms / V")
+        add_colour_bar(axes, drawn, ticks)
     return figure
 
 
@@ -85,12 +114,23 @@ def _draw_currents(found: SimulatedCurrent) -> Figure:
 def _draw_operation(result: Result, operation: TorqueMap) -> Figure:
     figure = Figure(figsize=(WIDTH, 3.9))
     axes = place(figure, 2.1, 0.5, 2.9, 3.0)
-    draw_field(
-        axes, Disc(with_enclosed(result).flux_map, result.i_max), operation.torque, "Torque / Nm", symmetric=True
-    )
+    draw_field(axes, Disc(result.enclosed.flux_map, result.i_max), operation.torque, "Torque / Nm", symmetric=True)
     _draw_lines(axes, operation)
     if operation.lines:
         axes.legend(fontsize=SMALL, loc="lower right")
+    return figure
+
+
+def _draw_losses(result: Result, found: LossMap) -> Figure:
+    """Draw each loss over the disc."""
+    width = WIDTH / len(found.losses)
+    size, disc = min(2.3, width - 1.2), Disc(result.enclosed.flux_map, result.i_max)
+    figure = Figure(figsize=(WIDTH, size + 0.9))
+    for number, (label, (values, _)) in enumerate(found.losses.items()):
+        scale, unit = scaled_unit(float(np.nanmax(values)), "W")
+        at = f", {found.speed * 30 / np.pi:.4g} rpm" if label == "iron" else ""
+        axes = place(figure, number * width + 0.6, 0.5, size, size)
+        draw_field(axes, disc, scale * values, f"{label}{at} / {unit}")
     return figure
 
 

@@ -45,7 +45,7 @@
     byId("body").replaceChildren(...(kept.length ? kept.sort(order).map(line) : [none]));
     byId("count").textContent = `${kept.length} of ${rows.length} results`;
     byId("head").replaceChildren(made("th", { scope: "col" }, "Compare"), ...COLUMNS.map(([name], n) => {
-      const button = made("button", { type: "button" }, name);
+      const button = made("button", { type: "button" }, ...symbol(name));
       button.addEventListener("click", () => {
         [sorted, rising] = [n, sorted === n ? !rising : true];
         list();
@@ -98,10 +98,12 @@
     const limit = known.length ? END : largest || 1e-9;
     const canvas = made("canvas", { role: "img" });
     drawDisc(canvas, Math.max(first.quantities.i_max[0], other.quantities.i_max[0]), cells, step, drawn, (x) => shade(x / limit, true));
-    const caption = `ψ_${flux}: ${lettered(other)} minus ${lettered(first)}; rms ${shown(rms(values))} mWb`
-      + (known.length ? `, rms ${shown(rms(known))} σ, largest ${shown(largest)} σ.` : `; standard errors unknown, full colour at ${shown(limit)} mWb.`);
+    const unit = quantity("ψ_PM")(first)?.[2] ?? "mWb";
+    const inUnit = (milli) => `${shown(milli * { Wb: 1e-3, mWb: 1, "µWb": 1e3 }[unit])} ${unit}`;
+    const caption = `ψ_${flux}: ${lettered(other)} minus ${lettered(first)}; rms ${inUnit(rms(values))}`
+      + (known.length ? `, rms ${shown(rms(known))} σ, largest ${shown(largest)} σ.` : `; standard errors unknown, full colour at ${inUnit(limit)}.`);
     canvas.setAttribute("aria-label", caption);
-    return made("figure", {}, canvas, made("figcaption", {}, caption));
+    return made("figure", {}, canvas, made("figcaption", {}, ...symbol(caption)));
   }
 
   function compare() {
@@ -116,15 +118,16 @@
     letters.clear();
     [first, ...others].forEach((row, n) => letters.set(row, n < 26 ? String.fromCharCode(65 + n) : String(n + 1)));
     const head = [first, ...others].map((row, n) => made("th", { scope: "col", class: "number" }, lettered(row), n ? "" : " (reference)"));
-    const body = QUANTITIES.map((name) => made("tr", {}, made("th", { scope: "row" }, name),
+    const body = QUANTITIES.map((name) => made("tr", {}, made("th", { scope: "row" }, ...symbol(name)),
       made("td", { "data-name": lettered(first), class: "number" }, quantity(name)(first)?.[3] ?? ""), ...others.map((other) => compared(first, other, name))));
     const table = made("table", { class: "cards" }, made("thead", {}, made("tr", {}, made("th", { scope: "col" }, "Quantity"), ...head)), made("tbody", {}, ...body));
     const pictures = others.flatMap((other) => (first.map && other.map ? ["d", "q"].map((flux) => picture(first, other, flux)) : []));
     const missing = pictures.length < 2 * others.length ? [made("p", {}, "Maps of older results are not on this page: drive-id compare shows them.")] : [];
     return byId("compared").replaceChildren(
+      ...refused,
       made("p", {}, "In brackets: difference from the reference in joint standard errors, marked beyond 3. Two results of one recording are not independent."),
       made("div", { class: "wide", tabindex: 0, role: "region", "aria-label": "Comparison" }, table),
-      colourBar(`\u2212${END} σ: less`, `more: +${END} σ of the difference; hatched: no data in both`, true), made("div", { class: "pair" }, ...pictures), ...missing);
+      colourBar(`\u2212${END} σ: less`, `more: +${END} σ of the difference; hatched: no data in one or both`, true), made("div", { class: "pair" }, ...pictures), ...missing);
   }
 
   const groupOf = (row) => [row.machine, row.serial].filter(Boolean).join(", ");
@@ -133,12 +136,16 @@
     const found = rows.filter((row) => !row.error && row.date && groupOf(row) === byId("group").value);
     byId("trends").replaceChildren(...["ψ_PM", "R"].flatMap((name) => {
       const points = found.filter(quantity(name)).map((row) => {
-        const [value, sigma, , written] = quantity(name)(row);
-        return { x: Date.parse(row.date), y: 1e3 * value, sigma: sigma === null ? null : 1e3 * sigma, series: row.method, written, row };
+        const [y, sigma, , written] = quantity(name)(row);
+        return { x: Date.parse(row.date), y, sigma, series: row.method, written, row };
       });
       if (!points.length) return [];
-      const label = `${name} / ${name === "R" ? "mΩ" : "mWb"}, bars: ±2 σ`;
-      return [made("figure", {}, drawTrend(points, label, (p) => `${p.row.date.slice(0, 16).replace("T", " ")}: ${p.written}, ${p.series}`, (time) => new Date(time).toISOString().slice(0, 10)))];
+      const label = `${name} / ${quantity(name)(points[0].row)[2]}, bars: ±2 σ`;
+      const times = points.map((p) => p.x);
+      const oneDay = Math.max(...times) - Math.min(...times) < 86400e3;
+      const tick = (time) => new Date(time).toISOString().slice(...(oneDay ? [11, 16] : [0, 10]));
+      const when = oneDay ? `, ${points[0].row.date.slice(0, 10)}` : "";
+      return [made("figure", {}, drawTrend(points, `${label}${when}`, (p) => `${p.row.date.slice(0, 16).replace("T", " ")}: ${p.written}, ${p.series}`, tick))];
     }));
     if (!byId("trends").children.length) byId("trends").append(made("p", {}, "No dated results of a named machine: name it with drive-id fit --machine NAME --serial NUMBER."));
   }

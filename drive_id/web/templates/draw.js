@@ -15,6 +15,9 @@ function made(tag, attributes = {}, ...children) {
   return element;
 }
 
+/** A name with the index of its symbol lowered, as nodes. */
+const symbol = (name) => name.split(/_(PM|max|[dq]{1,2})\b/).map((part, n) => (n % 2 ? made("sub", {}, part) : part));
+
 const shown = (value, digits = 3) => (value === null || !Number.isFinite(value) ? "unknown"
   : String(Number(value.toPrecision(digits))).replace("-", "\u2212"));
 
@@ -37,7 +40,7 @@ function colourBar(low, high, signed) {
 }
 
 /** Draw cells around nodes (k_d, k_q) times a step in a disc of the current plane, hatched where there are none. */
-function drawDisc(canvas, reach, cells, step, values, paint) {
+function drawDisc(canvas, reach, cells, step, values, paint, radius = `${shown(reach, 4)} A`) {
   const size = canvas.width = canvas.height = 480;
   const context = canvas.getContext("2d");
   const scale = size / (2.3 * reach);
@@ -68,7 +71,7 @@ function drawDisc(canvas, reach, cells, step, values, paint) {
     context.fillText("i", ...at);
     context.fillText(index, at[0] + 4, at[1] + 4);
   }
-  context.fillText(`${shown(reach, 4)} A`, x(0.74 * reach), y(0.76 * reach));
+  context.fillText(radius, x(0.74 * reach), y(0.76 * reach));
   return { context, x, y };
 }
 

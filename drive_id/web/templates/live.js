@@ -13,7 +13,7 @@
     if (level) byId(id).className = level;
   }
 
-  const measured = ([value, sigma], unit) => {
+  const measured = ([value, sigma, unit]) => {
     if (value === null) return "unknown";
     if (!sigma) return `${shown(value, 5)} ${unit}`;
     const digits = Math.max(0, 1 - Math.floor(Math.log10(sigma)));
@@ -44,18 +44,19 @@
   function showEstimates() {
     const { resistance, map } = state;
     const last = resistance?.estimates.at(-1);
-    if (last && state.from !== "request") tile("R", measured(last.slice(1), "mΩ"), `from ${last[0]} samples`);
-    else if (map) tile("R", measured(map.resistance, "mΩ"), "of the requested fit");
+    if (last && state.from !== "request") tile("R", measured([...last.slice(1), resistance.unit]), `from ${last[0]} samples`);
+    else if (map) tile("R", measured(map.resistance), "of the requested fit");
     if (map) {
-      tile("psi", measured(map.psi_pm, "mWb"), map.provisional ? provisional() : "of the requested fit");
-      tile("drop", measured(map.drop, "V"), `method ${map.method}`);
+      tile("psi", measured(map.psi_pm), map.provisional ? provisional() : "of the requested fit");
+      tile("drop", measured(map.drop), `method ${map.method}`);
     }
     byId("forecast").textContent = state.from === "request" ? "" : resistance?.forecast ?? "";
     const points = (resistance?.estimates ?? []).filter((e) => e[2] !== null).map(([samples, y, sigma]) => ({ x: samples, y, sigma, series: "" }));
-    if (points.length > 1) byId("course").replaceChildren(drawTrend(points, "R / mΩ over the samples, bars: ±2 σ", (p) => measured([p.y, p.sigma], "mΩ"), (samples) => `${Math.round(samples)} samples`));
+    if (points.length > 1) byId("course").replaceChildren(drawTrend(points, `R / ${resistance.unit} over the samples, bars: ±2 σ`, (p) => measured([p.y, p.sigma, resistance.unit]), (samples) => String(Math.round(samples))));
   }
 
-  function showList(id, sentences) {
+  function showList(id, found) {
+    const sentences = found.length ? found : ["None."];
     const now = [...byId(id).children].map((item) => item.textContent);
     if (now.join("\n") !== sentences.join("\n")) byId(id).replaceChildren(...sentences.map((sentence) => made("li", {}, sentence)));
   }
@@ -69,10 +70,10 @@
 
   function showDisc() {
     const { points, map } = state;
-    reach = map?.i_max ?? Math.max(reach, 1.05 * points.reduce((most, [d, q]) => Math.max(most, Math.hypot(d, q)), 1));
-    const values = map ? map.sigma.map((value) => Math.log10(Math.max(value, 1e-6))) : [];
+    reach = map?.i_max ?? Math.max(reach, 1.05 * points.reduce((most, [d, q]) => Math.max(most, Math.hypot(d, q)), 0));
+    const values = map ? map.sigma.map((value) => Math.log10(Math.max(value, 1e-12))) : [];
     const [low, high] = [Math.min(...values), Math.max(...values)];
-    const { context, x, y } = drawDisc(byId("disc"), reach, map?.cells ?? [], map?.step ?? 1, values, (v) => shade(high > low ? (v - low) / (high - low) : 0));
+    const { context, x, y } = drawDisc(byId("disc"), reach || 1, map?.cells ?? [], map?.step ?? 1, values, (v) => shade(high > low ? (v - low) / (high - low) : 0), reach ? `${shown(reach, 4)} A` : "");
     context.strokeStyle = "#d5482a";
     context.lineWidth = 0.8;
     context.beginPath();
@@ -85,7 +86,7 @@
       context.fill();
     }
     if (!map) return;
-    byId("disc-bar").replaceChildren(colourBar(`${shown(10 ** low, 2)} µWb`, `${shown(10 ** high, 2)} µWb`, false));
+    byId("disc-bar").replaceChildren(colourBar(`${shown(10 ** low, 2)} ${map.psi_pm[2]}`, `${shown(10 ** high, 2)} ${map.psi_pm[2]}`, false));
     byId("disc-caption").textContent = `Measured currents; cells: the larger standard error of both fluxes, hatched: no data; ${shown(100 * map.coverage)} % of the disc has data.`;
   }
 
@@ -114,7 +115,7 @@
   setInterval(() => {
     const age = Date.now() - heard;
     const said = !connected ? "The server does not answer; this page shows what it knew last."
-      : finished() ? "Finished: the result of the requested fit stands here." : age > SILENT ? `No news for ${Math.round(age / 1000)} s.` : state.nodes || state.drive ? "Following the drive." : "Connected; nothing is heard of a drive yet.";
+      : finished() ? "Finished: these are the values of the requested fit." : age > SILENT ? `No news for ${Math.round(age / 1000)} s.` : state.nodes || state.drive ? "Following the drive." : "Connected; nothing is heard of a drive yet.";
     if (byId("link").textContent !== said) byId("link").textContent = said;
     if (state.map?.provisional) byId("psi").lastElementChild.textContent = provisional();
   }, 500);

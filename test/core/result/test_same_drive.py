@@ -7,16 +7,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from drive_id.core.result.identification import FluxMap
 from drive_id.core.result.same_drive import compared
 
 
 def drive(method, resistance=0.01, magnet=0.1, sigma=0.0):
     axis = np.array([-1.0, 0.0, 1.0])
     flat = np.ones((3, 3))
-    flux_map = SimpleNamespace(
-        i_d=axis, i_q=axis, psi_d=magnet * flat, psi_q=0.0 * flat, sigma_d=sigma * magnet * flat,
-        sigma_q=sigma * magnet * flat, inside=np.ones((3, 3), np.bool_),
-    )  # fmt: skip
+    sigmas = sigma * magnet * flat
+    flux_map = FluxMap(axis, axis, magnet * flat, 0.0 * flat, sigmas, sigmas, np.ones((3, 3), np.bool_))
     return SimpleNamespace(method=method, resistance=resistance, sigma_resistance=sigma * resistance, flux_map=flux_map)
 
 

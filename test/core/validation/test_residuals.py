@@ -12,7 +12,7 @@ from drive_bags import TRAJECTORY
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
-from drive_id.core.validation.residuals import Residual, over_angle, over_time, residual_voltage
+from drive_id.core.validation.residuals import Residual, over_angle, over_plane, over_time, residual_voltage
 from drive_id.fitting.simulated import run_experiment
 
 CURRENT = np.linspace(-400.0, 400.0, 801)
@@ -116,10 +116,40 @@ def test_standstill_and_single_samples_are_no_reason_to_fail():
 def test_bins_hold_mean_and_rms_of_their_angles():
     angle = np.array([0.1, 0.2, 0.1 - 2 * np.pi, 3.2, 3.3])
     voltage = np.array([[1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [0.0, 2.0], [0.0, -2.0]])
-    bins = over_angle(Residual(angle, voltage, np.zeros(5)), bins=4)
+    bins = over_angle(Residual.none()._replace(angle=angle, voltage=voltage), bins=4)
     np.testing.assert_allclose(bins.angle, [0.4 / 3, 3 * np.pi / 4, 3.25, 7 * np.pi / 4])
     np.testing.assert_allclose(bins.mean, [[2, 0], [np.nan] * 2, [0, 0], [np.nan] * 2])
     np.testing.assert_allclose(bins.rms, [[np.sqrt(14 / 3), 0], [np.nan] * 2, [0, 2], [np.nan] * 2])
+
+
+def test_cells_of_the_plane_hold_what_happened_in_them():
+    """Against a loop over the windows; the share is that of one component of the voltage."""
+    rng = np.random.default_rng(1)
+    residual = Residual(
+        np.zeros(4000),
+        rng.normal(size=(4000, 2)),
+        np.zeros(4000),
+        rng.uniform(-7.0, 7.0, (4000, 2)),
+        np.full(4000, 50.0),
+    )
+    bins = over_plane(residual, 6.0, bins=6)
+    np.testing.assert_allclose(bins.i_d, [-5, -3, -1, 1, 3, 5])
+    assert bins.commanded == pytest.approx(50 / np.sqrt(2))
+    nearest = [[int(np.abs(bins.i_d - x).argmin()) for x in point] for point in residual.i_dq]
+    chosen = residual.voltage[[at == [1, 4] for at in nearest]]
+    np.testing.assert_allclose(bins.mean[1, 4], chosen.mean(axis=0))
+    np.testing.assert_allclose(bins.rms[1, 4], np.sqrt((chosen**2).mean(axis=0)))
+    assert np.isnan(over_plane(Residual.none(), 6.0).rms).all()
+
+
+def test_windows_know_their_current_and_voltage():
+    samples = synthetic.record(resistance=RESISTANCE, duration=0.5)
+    found = residual_voltage(samples, flux, RESISTANCE, NO_DROP)
+    measured = frames.to_dq(samples.i_abc, samples.angle)
+    at = np.rint(found.time / samples.sample_period).astype(int)
+    assert np.abs(found.i_dq - measured[at]).max() < 0.05 * np.abs(measured).max()
+    commanded = np.abs(frames.space_vector(samples.u_abc))
+    assert np.sqrt(np.mean(found.commanded**2)) == pytest.approx(np.sqrt(np.mean(commanded**2)), rel=0.01)
 
 
 def test_bins_over_time_find_when_it_happened():
@@ -142,5 +172,5 @@ def test_bins_over_time_find_when_it_happened():
 
 
 def test_bins_over_time_of_nothing_are_empty():
-    bins = over_time(Residual(np.zeros(0), np.zeros((0, 2)), np.zeros(0)))
+    bins = over_time(Residual.none())
     assert np.isnan(bins.mean).all()

@@ -59,7 +59,7 @@ class CopperRecordings(DriveEffect):
 
 def _relative(found: Reported, x: float) -> dict[str, float]:
     change = x / found.resistance
-    return {"change": change, "kelvin": change / COPPER}
+    return {"change": change, "kelvin": change / COPPER, "resistance": found.resistance}
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class MagnetHeating(DriveEffect):
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for _, x, dx in _magnet_changes(found):
-            yield found.entry("magnet_flux_change", x, dx, "Wb")
+            yield found.entry("magnet_flux_change", x, dx, "Wb", flux=found.inductance * found.i_max)
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class MagnetRecordings(MagnetHeating):
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for k, x, dx in _magnet_changes(found):
             name, key = f"magnet_flux_change_{k + 2}", "magnet_flux_change.recording"
-            yield found.entry(name, x, dx, "Wb", key, recording=k + 2)
+            yield found.entry(name, x, dx, "Wb", key, recording=k + 2, flux=found.inductance * found.i_max)
 
 
 def _of_magnet(at: Linearized) -> list[ComplexArray]:

@@ -25,7 +25,8 @@ class PhaseResistance(DriveEffect):
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         values, sigmas = (*found.value, -found.value.sum()), (*found.sigma, np.hypot(*found.sigma))
         for phase, (x, dx) in enumerate(zip(values, sigmas, strict=True)):
-            yield found.entry(f"resistance_{'abc'[phase]}", x, dx, "ohm", "resistance_of_phase", phase=phase)
+            name, more = f"resistance_{'abc'[phase]}", {"phase": phase, "resistance": found.resistance}
+            yield found.entry(name, x, dx, "ohm", "resistance_of_phase", **more)
 
 
 @dataclass(frozen=True)

@@ -239,26 +239,40 @@
     line: { color: share < 1 ? "#00000066" : colour("text"), width: 1, ...(share < 1 ? { dash: "dot" } : {}) }, xref: axes.xaxis, yref: axes.yaxis,
   });
 
-  /** Both parts of a view side by side, on a narrow page one below the other. */
-  function drawMap() {
-    const parts = chosenParts();
-    const narrow = byId("chart-map").clientWidth < 640;
-    const domain = (n) => (parts.length < 2 ? [0, narrow ? 1 : 0.55] : n ? [0.56, 0.96] : [0, 0.4]);
-    const place = (n) => (narrow ? { x: [0, 1], y: parts.length < 2 ? [0.3, 1] : n ? [0, 0.42] : [0.56, 0.98] } : { x: domain(n), y: [0, 1] });
-    if (byId("map-view").value === "surface") return drawSurfaces(parts, place);
-    const { i_d, i_q, trajectory } = data.map;
-    const [continued, traced, reach] = [byId("map-continuation").checked, byId("map-trajectory").checked, 1.05 * data.i_max];
-    const found = layout({ margin: { l: 60, r: 20, t: 100, b: 50 }, shapes: [], annotations: mark(parts.length), legend: { orientation: "h", x: 0, y: 1.06, yanchor: "bottom" } });
-    const traces = parts.flatMap((part, n) => {
+  /** Where each of some planes lies in a chart: side by side, on a narrow page one below the other. */
+  function placesIn(chart, count) {
+    const narrow = byId(chart).clientWidth < 640;
+    const domain = (n) => (count < 2 ? [0, narrow ? 1 : 0.55] : n ? [0.56, 0.96] : [0, 0.4]);
+    return (n) => (narrow ? { x: [0, 1], y: count < 2 ? [0.3, 1] : n ? [0, 0.42] : [0.56, 0.98] } : { x: domain(n), y: [0, 1] });
+  }
+
+  /** Layout of current planes with these labels, and the axes and the colour bar of each. */
+  function planes(chart, labels, unit, clipped, top) {
+    const [place, reach] = [placesIn(chart, labels.length), 1.05 * data.i_max];
+    const found = layout({ margin: { l: 60, r: 20, t: top, b: 50 }, shapes: [], annotations: mark(labels.length), legend: { orientation: "h", x: 0, y: 1.06, yanchor: "bottom" } });
+    const panels = labels.map((label, n) => {
       const [suffix, at] = [n ? "2" : "", place(n)];
       const axes = { xaxis: `x${suffix}`, yaxis: `y${suffix}` };
-      const bar = { ...colourBar(part.unit), title: { text: part.unit, side: "top" }, x: at.x[1] + 0.005, y: (at.y[0] + at.y[1]) / 2, len: at.y[1] - at.y[0] };
       found[`xaxis${suffix}`] = axis(currentAxis("d"), { range: [-reach, reach], constrain: "domain", domain: at.x, anchor: axes.yaxis });
       found[`yaxis${suffix}`] = axis(currentAxis("q"), { range: [-reach, reach], scaleanchor: axes.xaxis, constrain: "domain", domain: at.y, anchor: axes.xaxis });
-      found.shapes.push(...(continued || traced ? [] : [{ ...beyond(), xref: axes.xaxis, yref: axes.yaxis }]), ...[0.25, 0.5, 0.75, 1].map((share) => circle(share, axes)));
-      found.annotations.push({ text: `<b>${markup(part.label)}</b>`, showarrow: false, xref: "paper", yref: "paper", x: at.x[0], y: at.y[1], xanchor: "left", yanchor: "bottom" });
+      found.shapes.push(...(clipped ? [{ ...beyond(), xref: axes.xaxis, yref: axes.yaxis }] : []), ...[0.25, 0.5, 0.75, 1].map((share) => circle(share, axes)));
+      found.annotations.push({ text: `<b>${markup(label)}</b>`, showarrow: false, xref: "paper", yref: "paper", x: at.x[0], y: at.y[1], xanchor: "left", yanchor: "bottom" });
+      return { axes, colorbar: { ...colourBar(unit), title: { text: unit, side: "top" }, x: at.x[1] + 0.005, y: (at.y[0] + at.y[1]) / 2, len: at.y[1] - at.y[0] } };
+    });
+    return [found, panels];
+  }
+
+  /** Both parts of a view. */
+  function drawMap() {
+    const parts = chosenParts();
+    if (byId("map-view").value === "surface") return drawSurfaces(parts, placesIn("chart-map", parts.length));
+    const { i_d, i_q, trajectory } = data.map;
+    const [continued, traced] = [byId("map-continuation").checked, byId("map-trajectory").checked];
+    const [found, panels] = planes("chart-map", parts.map((part) => part.label), parts[0].unit, !continued && !traced, 100);
+    const traces = parts.flatMap((part, n) => {
+      const { axes, colorbar } = panels[n];
       const z = known(part);
-      const own = [...fieldTraces(i_d, i_q, z, part.label, part.unit, { text: errors(z, part.sigma), colorbar: bar, ...(part.signed ? signed(z) : {}), ...axes }, inDisc),
+      const own = [...fieldTraces(i_d, i_q, z, part.label, part.unit, { text: errors(z, part.sigma), colorbar, ...(part.signed ? signed(z) : {}), ...axes }, inDisc),
         { type: "heatmap", x: i_d, y: i_q, z: where(z, (k, j) => data.map.inside[k][j] === 0).map((row) => row.map((value) => (value === null ? null : 1))),
           colorscale: [[0, colour("page")], [1, colour("page")]], opacity: 0.3, showscale: false, hoverinfo: "skip", ...axes },
         ...operationLines(axes, n === 0), ...ellipses(axes, n === 0)];
@@ -392,9 +406,31 @@
     return Plotly.react("chart-inverter", traces, layout({ xaxis: axis("phase current / A"), yaxis: axis("drop / V") }), config);
   }
 
+  /** The residual over the current plane: its mean or its rms in each cell, both components in one scale. */
+  function drawResidualPlane(statistic) {
+    const { i_d, i_q, commanded, ...values } = data.residuals.plane;
+    const parts = ["d", "q"].map((component) => values[`${statistic}_${component}`]);
+    const labels = ["d", "q"].map((component) => `${component}: ${statistic} of the residual`);
+    const both = parts.flatMap((z) => where(z, (k, j) => Math.hypot(i_d[j], i_q[k]) < data.i_max));
+    const scale = statistic === "mean" ? signed(both) : { colorscale: data.colours, zmin: 0, zmax: Math.max(...both.flat()) };
+    const [found, panels] = planes("chart-residuals", labels, "V", true, 60);
+    const traces = parts.map((z, n) => ({
+      type: "heatmap", x: i_d, y: i_q, z, ...scale, colorbar: panels[n].colorbar, hoverongaps: false, ...panels[n].axes,
+      text: z.map((row) => row.map((value) => (value === null ? "" : `${(100 * value / commanded).toPrecision(2)} %`))),
+      hovertemplate: `i<sub>d</sub> %{x:.4g} A<br>i<sub>q</sub> %{y:.4g} A<br>${statistic} %{z:.3g} V<br>%{text} of the commanded voltage<extra></extra>`,
+    }));
+    return Plotly.react("chart-residuals", traces, found, config);
+  }
+
   function drawResiduals() {
     const over = byId("residuals-over").value;
     const chosen = data.residuals[over];
+    const chart = byId("chart-residuals");
+    if (chart.classList.contains("tall") !== (over === "plane")) {
+      chart.classList.toggle("tall");
+      Plotly.purge(chart);  // it is drawn in another size
+    }
+    if (over === "plane") return drawResidualPlane(byId("residuals-statistic").value);
     const shown = byId("residuals-statistic").value === "mean" ? ["mean", "rms"] : ["rms"];
     const traces = shown.flatMap((statistic) => ["d", "q"].map((component) => ({
       type: "scatter", mode: "lines", x: chosen.x, y: chosen[`${statistic}_${component}`],

@@ -36,6 +36,7 @@ NAMES = {
     "magnet_flux_change", "resistance_change_2", "magnet_flux_change_2", "dc_link_share", "voltage_gain_mismatch",
     "resolver_eccentricity", "rotor_eccentricity", "resolver_first", "resolver_second",
     "resistance_a", "resistance_b", "resistance_c",
+    *(f"drop_asymmetry_{phase}" for phase in "abc"),
     *(name for name in EFFECTS if name.startswith("flux_lag")),
 }  # fmt: skip
 """Entries of the calibrations that are effects."""
@@ -44,6 +45,13 @@ NAMES = {
 def fitted(*recordings, **settings):
     """Fit with the drives' orders, which test_full_accuracy.py and the population have to choose from more."""
     return identify(list(recordings), FitSettings(harmonic_orders=(6, 12), search_orders=False, **settings))
+
+
+def lopsided(share):
+    """Return the truth of a drop that is larger by a share for positive, and smaller for negative current."""
+    return lambda truths: (
+        share * float(np.interp(truths[0].i_max, truths[0].inverter_current, truths[0].inverter_voltage))
+    )
 
 
 def change(before, after):
@@ -92,6 +100,11 @@ CASES = {
             "resistance_change_2": lambda truths: 0.00393 * 25.0 * truths[0].resistance,
             "magnet_flux_change_2": lambda truths: -0.001 * 10.0 * truths[1].details["magnet_flux"],
         },
+    ),
+    "lopsided devices": Case(
+        ({"drop_asymmetry": (0.1, 0.0, -0.06)},),
+        {f"drop_asymmetry_{phase}": lopsided(share) for phase, share in (("a", 0.1), ("b", 0.0), ("c", -0.06))},
+        tolerance=0.1,
     ),
     "eccentric resolver": Case(
         ({"resolver_mechanical_errors": (np.deg2rad(0.5),)},), {"resolver_eccentricity": np.deg2rad(0.5)}

@@ -51,6 +51,13 @@ def test_what_would_unpack_to_too_much_is_not_unpacked(monkeypatch):
         read_arrays(data)
 
 
+@pytest.mark.parametrize("content", [b"", 7 * b"\0", 33 * b"\0"])
+def test_an_array_that_is_not_as_large_as_it_declares_is_refused_before_it_is_read(monkeypatch, content):
+    monkeypatch.setattr(np.lib.format, "read_array", None)  # must not be reached
+    with pytest.raises(ValueError, match="'x' is not of the size that it declares"):
+        read_arrays(member((4,), "<f8", content))
+
+
 def test_small_numbers_count_as_the_floats_they_become():
     data = saved(x=np.zeros(UNPACKED // 2, np.int8))
     with pytest.raises(ValueError, match="it would unpack to"):

@@ -77,6 +77,7 @@ class Case:
     found: dict = field(default_factory=dict)
     trajectory: Lissajous | None = None
     tolerance: float = 0.05
+    deviation: float = DEVIATION  # of the simulated current
 
 
 CASES = {
@@ -105,6 +106,7 @@ CASES = {
         ({"drop_asymmetry": (0.1, 0.0, -0.06)},),
         {f"drop_asymmetry_{phase}": lopsided(share) for phase, share in (("a", 0.1), ("b", 0.0), ("c", -0.06))},
         tolerance=0.1,
+        deviation=6.0,  # a standard error of it, 17 mV, drives 0.5 A through the reactance
     ),
     "eccentric resolver": Case(
         ({"resolver_mechanical_errors": (np.deg2rad(0.5),)},), {"resolver_eccentricity": np.deg2rad(0.5)}
@@ -141,7 +143,7 @@ def test_an_effect_is_found_and_corrected(name):
     assert not next(entry for entry in found.calibrations if entry.name == "voltage_delay").applied
     assert found.report.warnings == ()
     noise = np.sqrt(2 / 3 * 2 / np.pi) * GOOD.current_noise * truths[0].i_max
-    assert max(found.report.mad_d, found.report.mad_q) < DEVIATION * noise
+    assert max(found.report.mad_d, found.report.mad_q) < case.deviation * noise
 
 
 def sensors(found):

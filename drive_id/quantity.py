@@ -12,7 +12,7 @@ from typing import Any
 _PREFIXES = {9: "G", 6: "M", 3: "k", 0: "", -3: "m", -6: "µ", -9: "n"}
 _PREFIXED = frozenset({"Ω", "Wb", "H", "V", "A", "Nm", "Nm/A", "s", "S", "Wb/K", "W"})
 """Units that take a prefix; others, such as samples and °, are left as they are."""
-_PLAIN = frozenset({"V", "A", "Nm", "Nm/A", "W"})
+_PLAIN = frozenset({"V", "A", "Nm", "W"})
 """Of these, the units that are read without a prefix as long as the number is of a usual size."""
 _USUAL = (1e-3, 1e4)
 _SPELLED = {"ohm": "Ω", "1": "", "degC": "°C", "kg m^2": "kg m²"}

@@ -198,7 +198,7 @@ def test_colcon_lists_both_packages_of_a_workspace(tmp_path):
     source = tmp_path / "src"
     source.mkdir()
     (source / "drive_id").symlink_to(ROOT)
-    docs = (ROOT / "docs" / "nodes.md").read_text(encoding="utf-8")
+    docs = (ROOT / "docs" / "installation.md").read_text(encoding="utf-8")
     (link,) = re.findall(r"^ +(ln -s .*)$", docs, re.MULTILINE)
     subprocess.run(link.split(), cwd=tmp_path, check=True)
 

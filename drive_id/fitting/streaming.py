@@ -66,15 +66,16 @@ def accumulate(
 
 
 def _gathered(reading: SeveralBags, settings: FitSettings, tell: Progress) -> tuple[Evidence, Spans]:
-    """Prescan and accumulate: in one pass if i_max is set, else from the samples kept, or in a second pass."""
+    """Prescan and accumulate: in one pass if i_max is set, else a short recording from memory, or in a second pass."""
     known = settings.i_max is not None
     while True:
-        prescan, spans = Prescan(), Spans()
+        prescan, spans, recordings = Prescan(), Spans(), 0
         evidence = prescan.prepare(settings) if known else None
         try:
             for piece, begins in reading.pieces("Accumulating" if known else "Reading"):
                 prescan.add(piece.samples, continues=piece.continues)
                 spans.add(piece)
+                recordings += begins
                 if evidence is not None:
                     _add(evidence, piece, begins=begins)
             break
@@ -85,12 +86,13 @@ def _gathered(reading: SeveralBags, settings: FitSettings, tell: Progress) -> tu
         prescan.inform(evidence)
         return evidence, spans
     evidence = prescan.prepare(settings)
-    if spans.whole:
+    if spans.whole and recordings <= 1:  # of several, the samples kept do not tell where each begins
+        evidence.next_recording()
         for samples in spans.samples():
             evidence.add(samples, partial(_tell_done, tell, len(samples)))
     else:
         for piece, begins in reading.pieces("Accumulating"):
-            _add(evidence, piece, begins=begins and bool(settings.conditions))
+            _add(evidence, piece, begins=begins)
     return evidence, spans
 
 

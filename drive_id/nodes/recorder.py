@@ -30,7 +30,7 @@ from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import LATCHED, STREAM_BEST_EFFORT, overridable
-from drive_id.nodes.support.replies import recorder_state_message, recording_info
+from drive_id.nodes.support.recording_messages import recorder_state_message, recording_info
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.topics.recorded import RecordedTopics
 

@@ -66,6 +66,20 @@ def assert_same_as_in_memory(bags, settings=SETTINGS, signals=None, **options):
     return found, recording
 
 
+@pytest.mark.parametrize("i_max", [None, 310.0])
+@pytest.mark.parametrize("count", [1, 2])
+def test_each_bag_is_a_recording_under_its_own_conditions(tmp_path, i_max, count):
+    """Whether the radius is given or found: without it, the bags were one recording under no conditions."""
+    bags = [tmp_path / f"bag_{number}" for number in range(count)]
+    for number, bag in enumerate(bags):
+        write_recording(bag, record(duration=0.3, seed=number))
+    settings = FitSettings(method="full", i_max=i_max, temperatures=(60.0, 90.0)[:count], u_dc=(400.0, 380.0)[:count])
+    kept = accumulate(bags, settings).evidence.windows.finished().kept()
+    for name, values in (("recording", (0, 1)), ("heating", (40.0, 70.0)), ("drop_scale", (1.0, 0.95))):
+        found = np.unique(np.concatenate([getattr(windows, name) for windows in kept]))
+        np.testing.assert_allclose(np.sort(found), np.sort(values[:count]), err_msg=name)
+
+
 @pytest.mark.cases
 @pytest.mark.parametrize("i_max", [None, 310.0])
 @pytest.mark.parametrize("method", ["psm", "joint"])

@@ -330,12 +330,14 @@ def test_a_folder_without_the_residual_over_the_plane_shows_none(fitted, operati
         drive_id.load(tmp_path / "result")
 
 
+@pytest.mark.essential
+@pytest.mark.slow  # two maps of torque and efficiency
 def test_losses_are_those_of_winding_and_iron_by_hand(fitted):
     """At the corner speed; copper by hand, and a given iron loss by the induced voltage."""
     entry = Calibration("iron_loss_conductance", 0.01, 1e-3, "S", applied=True, message=Message("region.whole"))
     losing = replace(fitted, drive=replace(fitted.drive, calibrations=(entry,)))
-    found = torque_map(losing).losses
-    flux_map = losing.enclosed.flux_map
+    with_iron = torque_map(losing)
+    found, flux_map = with_iron.losses, losing.enclosed.flux_map
     d, q = (int(np.abs(axis - at).argmin()) for axis, at in ((flux_map.i_d, -100.0), (flux_map.i_q, 100.0)))
     i_d, i_q = flux_map.i_d[d], flux_map.i_q[q]
     psi = np.hypot(flux_map.psi_d[d, q], flux_map.psi_q[d, q])
@@ -347,7 +349,7 @@ def test_losses_are_those_of_winding_and_iron_by_hand(fitted):
     assert np.isnan(without.speed)
     copper = 1.5 * fitted.resistance * (i_d**2 + i_q**2)
     assert without.losses["copper"][0][d, q] == pytest.approx(copper, rel=1e-9)
-    views = {view["label"]: view["parts"] for view in charts_of(losing, torque_map(losing))["map"]["views"]}
+    views = {view["label"]: view["parts"] for view in charts_of(losing, with_iron)["map"]["views"]}
     assert views["Losses of winding and inverter"] == ["copper", "inverter"]
     assert [parts for label, parts in views.items() if label.startswith("Iron loss at ")] == [["iron"]]
 

@@ -55,6 +55,7 @@ class Suite:
         begin(NODES + "identification", parameters=data | fit)
         begin(NODES + "trajectory_publisher", parameters=PUBLISHER)
         drive = {"machine": "ipm", "i_max": I_MAX, "speeds": [500.0], "current_noise": 0.001, "ramp_time": 0.2}
+        drive["sample_period"] = 2e-4  # all nodes share a thread: on a busy machine, the drive must not fall behind
         begin(NODES + "bench_simulator", parameters=drive)
         self.experiment = begin("drive_id.ros.experiment", parameters={"timeout": 40.0, "speed_time": 20.0})
         self.currents, self.states, self.recordings, self.reports = [], [], [], []

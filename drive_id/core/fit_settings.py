@@ -130,11 +130,6 @@ class FitSettings(Checked):
                     f"{name} has {given} entries for {count} recordings: give one for each, in order."
                 )
 
-    @property
-    def conditions(self) -> bool:
-        """Whether temperatures or DC-link voltages of the recordings are given."""
-        return bool(self.temperatures or self.u_dc)
-
     def of_recording(self, number: int) -> FitSettings:
         """Return the settings for one recording that will be merged with others.
 

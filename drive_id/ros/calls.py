@@ -153,21 +153,6 @@ class Calls:
         lacking = {name.rpartition("/")[0] for name, one in self._services.items() if not one.service_is_ready()}
         return sorted(lacking | (set(self._names.values()) - set(self._statuses)))
 
-    def wait_for_nodes(self, timeout: float) -> None:
-        """Wait until all nodes report.
-
-        Raises
-        ------
-        ExperimentError
-            When one does not.
-        """
-
-        def waiting() -> str:
-            names = " and ".join(self.missing())
-            return f"waiting for {names} (the first start compiles the numerical kernels: about 30 s)"
-
-        self._wait(lambda: not self.missing(), lambda: f"still {waiting()}", waiting, timeout)
-
     def wait_until_ready(self, timeout: float = 300.0) -> None:
         """Wait until all nodes report and the drive publishes.
 
@@ -181,7 +166,12 @@ class Calls:
         ExperimentError
             When a node is missing, or the drive is silent.
         """
-        self.wait_for_nodes(timeout)
+
+        def lacking() -> str:
+            names = " and ".join(self.missing())
+            return f"waiting for {names} (the first start compiles the numerical kernels: about 30 s)"
+
+        self._wait(lambda: not self.missing(), lambda: f"still {lacking()}", lacking, timeout)
 
         def waiting() -> str:
             status = self._statuses[PUBLISHER]

@@ -96,14 +96,13 @@ def error_modes(
     psi = rows.dot(changes @ causes)  # (N, 2, M)
     if frame is not None:
         psi = np.moveaxis(frame(np.moveaxis(psi, 1, -1)), -1, 1)
-    modes, numbers = _scaled(psi, wanted), _scaled(beside @ causes, sigma_beside)
+    held, waves = wanted, np.zeros((*wanted.shape, 0))
     if slopes is not None:
         rows_of_slopes, of_slopes = slopes
         rest = _incoherent(psi, rows_of_slopes.dot(changes @ causes), wanted, of_slopes)
-        modes = np.concatenate(
-            [_scaled(psi, np.sqrt(np.maximum(wanted**2 - rest**2, 0.0))), _waves(rest, inside)], axis=-1
-        )
-        numbers = np.pad(numbers, ((0, 0), (0, _WAVES)))
+        held, waves = np.sqrt(np.maximum(wanted**2 - rest**2, 0.0)), _waves(rest, inside)
+    modes = np.concatenate([_scaled(psi, held), waves], axis=-1)
+    numbers = np.pad(_scaled(beside @ causes, sigma_beside), ((0, 0), (0, waves.shape[-1])))
     maps = np.zeros((2, modes.shape[-1], *inside.shape), np.float32)
     maps[:, :, inside] = np.moveaxis(modes, (1, 2, 0), (0, 1, 2))
     return ErrorModes(maps[0], maps[1], numbers[0], numbers[2:].T.copy(), numbers[1])

@@ -265,16 +265,15 @@ def _by_residuals(fit: FullFit, rows: BasisRows, inside: BoolArray) -> FloatArra
     for start in range(0, len(consistent), _POINTS):  # in batches: memory grows with points times time batches
         part = slice(start, start + _POINTS)
         consistent[part] = fitted_sigma(BasisRows(rows.column[part], rows.value[part]).dot(changes))
+
+    def around(values: FloatArray) -> FloatArray:
+        on_grid = np.zeros((*inside.shape, 2))
+        on_grid[inside] = values**2
+        return np.stack([smoothed(on_grid[..., axis], inside)[inside] for axis in range(2)], axis=-1)
+
     sigma, (both, white) = np.full((*inside.shape, 2), np.nan), fit.white_sigma(rows)
-    for axis in range(2):
-        around = []
-        for values in (consistent, white):
-            on_grid = np.zeros(inside.shape)
-            on_grid[inside] = values[:, axis] ** 2
-            around.append(smoothed(on_grid, inside)[inside])
-        spread, usual = around
-        ratio = np.divide(spread, usual, out=np.ones(len(both)), where=usual > 0)
-        sigma[inside, axis] = both[:, axis] * np.sqrt(ratio)
+    usual = around(white)
+    sigma[inside] = both * np.sqrt(np.divide(around(consistent), usual, out=np.ones_like(usual), where=usual > 0))
     return sigma
 
 

@@ -1,4 +1,4 @@
-"""Converts results and recordings to messages, also for displays, and says how requests name them."""
+"""Converts results to messages, also for displays, and says how requests name them."""
 
 from __future__ import annotations
 

@@ -50,8 +50,8 @@ _LINEARIZATIONS, _CONFIRMATIONS = 4, 4
 _SAME_DELAY = 1e-3
 """Samples by which delays may differ and be one."""
 _CLOSE, _INDIFFERENT = 0.05, 0.5 * _PRICE
-"""Relative difference of savings, or difference of scores, below which two effects explain the residuals equally well:
-between the latter, a misfit of the map decides."""
+"""Relative difference of savings, or of what is left, below which two effects explain the residuals equally well: a
+misfit of the map decides between the latter."""
 _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
 _RIVAL = 0.3
@@ -60,6 +60,8 @@ across a saturating bridge saves half of it at first."""
 _OF_MISFIT = 0.5
 """Share of the squared residuals beyond noise that a variation of the DC link must explain: the misfit of a map recurs
 with the trajectory and the power, and a part of it looks like theirs."""
+_CHANCE = 4.0
+"""Standard errors of its value, for white residuals, beyond which an effect saves more than noise lets it."""
 _LATE = {name for name, effect in CATALOGUE.items() if effect.late}
 _ROTATING = {DELAY, *(name for name, effect in CATALOGUE.items() if effect.rotates)}
 """Of these, the data hold one at one speed: a delay less a lag of the flux is a rotation, which no map shows."""
@@ -137,6 +139,10 @@ class _Search:
             terms = 1 if (2 * delay).is_integer() else 2
         score = float(np.log(squares + self.rules.least)) + _PRICE * terms + sum(map(_price, sorted(names)))
         return _Set(names, delay, squares, score, names | {DELAY} if terms else names)
+
+    def alike(self, one: _Set, other: _Set) -> bool:
+        """Tell whether one set leaves hardly more than another one, whatever their prices."""
+        return one.squares - other.squares < _INDIFFERENT * (other.squares + self.rules.least)
 
     def best(self, names: frozenset[str]) -> _Set | None:
         """Return a set with the delay that suits it, if any is possible."""
@@ -250,9 +256,10 @@ def search_effects(
     elif turn > 0:
         delay = estimate_delay(state.solver, state.solution, noise)
     search = replace(search, rules=every)  # what was not confirmed is a rival all the same
-    taken = tuple(_taken(search, chosen, lambda value: Delay(value, delay.sigma).significant(turn)))
+    taken = tuple(_taken(search, chosen, lambda value: Delay(value, 0.0).significant(turn)))
     extended = sums if not chosen.names and not remains(state.solver) else state.sums
-    return replace(state, sums=extended, found=replace(state.found, taken=taken, delay=delay))
+    undecided = _undecided(search, chosen, max(state.solution.rows, 1.0))
+    return replace(state, sums=extended, found=replace(state.found, taken=taken, delay=delay, undecided=undecided))
 
 
 def _about_its_best(state: EffectSearch, first: EffectSearch, rules: _Rules) -> tuple[EffectSearch, _Set, _Search]:
@@ -296,11 +303,24 @@ def _taken(search: _Search, chosen: _Set, significant: Callable[[float], bool]) 
         rivals = {
             name
             for name, other, share in search.exchanged(chosen, member)
-            if (share > 1 - _CLOSE or other.score < chosen.score + _INDIFFERENT)
+            if (share > 1 - _CLOSE or search.alike(other, chosen))
             and member not in _BESIDE
             and (name != DELAY or significant(other.delay))
         }
         yield Taken(member, tuple(sorted(rivals)))
+
+
+def _undecided(search: _Search, chosen: _Set, rows: float) -> str:
+    """Return the effect that would save most beside a set, if that is more than noise lets it; else nothing.
+
+    It saves less than its price, which a misfit of the map may save as well: whether the drive has it is open.
+    """
+    least, best = _CHANCE**2 * chosen.squares / rows, ""
+    for name in search.rules.allowed:
+        if name not in chosen.names and search.allows(names := chosen.names | {name}, chosen.delay):
+            saved = (chosen.squares - search.of(names, chosen.delay).squares) / CATALOGUE[name].width
+            least, best = (saved, name) if saved > least else (least, best)
+    return best
 
 
 def _among_rivals(state: EffectSearch, search: _Search, chosen: _Set) -> tuple[EffectSearch, _Set]:

@@ -215,6 +215,7 @@ def fit_full(
         biases = [solver.shrinkage(solution), bias_bound, UNCERTAIN_SHARE * solver.by_remainder(solution)]
         biases.append(_by_delay(solver, uncertain, selection))
         by_rivals = _with_rivals(solver, uncertain, selection)
+        biases.append(_with_undecided(solver, uncertain, selection))
         changes = np.column_stack(
             [batches, *biases, misfit.changes, *by_rivals.values(), _among_curves(solver, solution)]
         )
@@ -276,6 +277,17 @@ def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> F
         return np.zeros(solver.model.size)
     other = float(np.clip(delay.value + found.delay.sigma, -MOST_DELAY, MOST_DELAY))
     return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate
+
+
+def _with_undecided(solver: Solver, solution: FullSolution, selection: Selection) -> FloatArray:
+    """Return the change (size,) of the estimate with the effect of which the data leave open whether it is there."""
+    name, model, spec = selection.search.found.undecided, solver.model, solution.spec
+    if not name or name in spec.effects or not spec.reciprocal:
+        return np.zeros(model.size)
+    effects = tuple(sorted((*spec.effects, name)))
+    change = solver.solve(replace(spec, effects=effects)).estimate - solution.estimate
+    change[model.effect(name)] = 0.0
+    return change
 
 
 def _with_rivals(solver: Solver, solution: FullSolution, selection: Selection) -> dict[str, FloatArray]:

@@ -17,6 +17,7 @@ from synthetic import saturating_flux
 
 from drive_id.core import frames
 from drive_id.core.full.effects.columns import EffectColumns
+from drive_id.core.full.effects.link import ripple_columns
 from drive_id.core.full.model import EFFECTS, RESISTANCE, VOLTAGE, FullModel
 from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.types import Samples
@@ -321,3 +322,27 @@ def test_what_the_recording_lacks_leaves_no_column(estimate):
     columns = EffectColumns(MODEL, estimate, 1.0, np.nan, None)(windows)
     for name in ("dc_link", "eccentricity", "eccentric_rotor", "copper_recordings", "magnet_recordings"):
         assert not columns[:, EFFECTS[name]].any()
+
+
+@pytest.mark.parametrize(("speed", "frequency"), [(209.0, 3.0), (209.0, 300.0), (-2550.0, 300.0), (2550.0, 720.0)])
+def test_a_ripple_of_the_link_is_exact_over_the_held_voltages(speed, frequency):
+    """At 4 samples per window, a voltage held in the rotor frame turned the column by 7 degrees."""
+    t = PERIOD * np.arange(4000)
+    u_dq = 100.0 + 60j + 40.0 * np.sin(2 * np.pi * 8.0 * t) + 30j * np.cos(2 * np.pi * 11.0 * t)
+    u_s = u_dq * np.exp(1j * speed * (t + 0.5 * PERIOD))
+    samples = Samples(
+        stamp=np.rint(t * 1e9).astype(np.int64),
+        i_abc=frames.phases(current(t) * np.exp(1j * speed * t)),
+        u_abc=frames.phases(u_s),
+        angle=np.angle(np.exp(1j * speed * t)),
+        speed=np.full(len(t), speed),
+        sample_period=PERIOD,
+    )
+    windows = cut(samples)
+    found = ripple_columns(windows)(frequency)
+    middle = 2 * np.pi * frequency * (t + 0.5 * PERIOD)
+    for column, wave in zip(found.T, (np.cos(middle), np.sin(middle)), strict=True):
+        integral = PERIOD * np.append(0.0, np.cumsum(u_s * wave))
+        begin, end = (np.rint(x / PERIOD).astype(int) for x in (windows.time, windows.time + windows.duration))
+        expected = integral[begin] - integral[end]
+        assert np.linalg.norm(column - expected) < 0.02 * np.linalg.norm(expected)

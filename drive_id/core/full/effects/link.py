@@ -10,6 +10,10 @@ import numpy as np
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import MOST_RUNS, Calibration, DriveEffect, Linearized, Recorded, Reported
 from drive_id.core.full.windows import Windows
+from drive_id.types import FloatArray
+
+_SMALL = 1e-4
+"""Angle, rad, below which the difference of two functions near 1 is replaced by its limit: both are exact to 1e-8."""
 
 
 @dataclass(frozen=True)
@@ -68,18 +72,30 @@ class LinkSag(DriveEffect):
 def ripple_columns(windows: Windows) -> Callable[[float], ComplexArray]:
     """Return the function of a frequency, Hz, that gives the columns (N, 2) of cosine and sine of a ripple, Vs.
 
-    The voltage in the rotor frame is taken as constant over a window, so that its integral is known.
+    The voltage in the rotor frame is taken as a straight line over a window, with the slope between the voltages held
+    before its ends, and with the recorded integral.
     """
     speed, duration = windows.speed.mean(axis=1), windows.duration
-    u_dq = np.mean(windows.held * np.exp(-1j * windows.angle), axis=1)
-    middle = u_dq * np.exp(1j * (windows.angle[:, 0] + 0.5 * speed * duration)) * duration
     at = windows.time + 0.5 * duration
+    turned = np.exp(0.5j * speed * duration)  # from the middle to the end
+    steps = windows.held[:, 1] / turned - windows.held[:, 0] * turned
+    slope = 0.5 * duration * steps * np.exp(0.5j * speed * windows.period)  # held from half a sample ago on average
+    constant, linear = _moments(0.5 * speed * duration)
+    mean = (windows.voltage - slope * linear) / constant
 
     def columns(frequency: float) -> ComplexArray:
         turns = 2 * np.pi * frequency
-        turned = np.exp(1j * turns * at)
-        ahead, behind = (np.sinc((speed + sign * turns) * duration / (2 * np.pi)) for sign in (1, -1))
-        sides = middle * turned * ahead, middle * turned.conj() * behind
+        sides = []
+        for sign in (1, -1):
+            constant, linear = _moments(0.5 * (speed + sign * turns) * duration)
+            sides.append(np.exp(1j * sign * turns * at) * (mean * constant + slope * linear))
         return np.stack([-0.5 * (sides[0] + sides[1]), 0.5j * (sides[0] - sides[1])], axis=1)
 
     return columns
+
+
+def _moments(x: FloatArray) -> tuple[FloatArray, ComplexArray]:
+    """Return the means (N,) of e^{j x s} and s e^{j x s} over s from -1 to 1."""
+    mean = np.sinc(x / np.pi)
+    odd = np.where(np.abs(x) < _SMALL, x / 3, (mean - np.cos(x)) / np.where(x == 0, 1.0, x))
+    return mean, 1j * odd

@@ -28,7 +28,7 @@ from drive_id.core.full.linearized import (
 from drive_id.core.full.model import PENALTIES, FullModel, ModelSpec
 from drive_id.core.full.reduced import Reduced, Subset, best_delay
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
-from drive_id.core.full.standard_errors import STUDENT
+from drive_id.core.full.standard_errors import SIGNIFICANCE, STUDENT
 from drive_id.core.full.window_sums import FOLDS, WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.numerics.threads import in_threads
@@ -60,8 +60,6 @@ across a saturating bridge saves half of it at first."""
 _OF_MISFIT = 0.5
 """Share of the squared residuals beyond noise that a variation of the DC link must explain: the misfit of a map recurs
 with the trajectory and the power, and a part of it looks like theirs."""
-_CHANCE = 4.0
-"""Standard errors of its value, for white residuals, beyond which an effect saves more than noise lets it."""
 _LATE = {name for name, effect in CATALOGUE.items() if effect.late}
 _ROTATING = {DELAY, *(name for name, effect in CATALOGUE.items() if effect.rotates)}
 """Of these, the data hold one at one speed: a delay less a lag of the flux is a rotation, which no map shows."""
@@ -315,7 +313,7 @@ def _undecided(search: _Search, chosen: _Set, rows: float) -> str:
 
     It saves less than its price, which a misfit of the map may save as well: whether the drive has it is open.
     """
-    least, best = _CHANCE**2 * chosen.squares / rows, ""
+    least, best = SIGNIFICANCE**2 * chosen.squares / rows, ""
     for name in search.rules.allowed:
         if name not in chosen.names and search.allows(names := chosen.names | {name}, chosen.delay):
             saved = (chosen.squares - search.of(names, chosen.delay).squares) / CATALOGUE[name].width

@@ -13,7 +13,7 @@ from drive_id.core.full.windows import Windows
 from drive_id.types import FloatArray
 
 _SMALL = 1e-4
-"""Angle, rad, below which the difference of two functions near 1 is replaced by its limit: both are exact to 1e-8."""
+"""Angle, rad, that stands for smaller ones, by which nothing may be divided: both moments are then exact to 1e-4."""
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,6 @@ def ripple_columns(windows: Windows) -> Callable[[float], ComplexArray]:
 
 def _moments(x: FloatArray) -> tuple[FloatArray, ComplexArray]:
     """Return the means (N,) of e^{j x s} and s e^{j x s} over s from -1 to 1."""
-    mean = np.sinc(x / np.pi)
-    odd = np.where(np.abs(x) < _SMALL, x / 3, (mean - np.cos(x)) / np.where(x == 0, 1.0, x))
-    return mean, 1j * odd
+    x = np.where(np.abs(x) < _SMALL, _SMALL, x)
+    mean = np.sin(x) / x
+    return mean, 1j * (mean - np.cos(x)) / x

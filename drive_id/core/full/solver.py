@@ -294,14 +294,13 @@ class Solver:
         spec = replace(spec, effects=(), delay=0.0)
         if without is None and spec in self._reduced:
             return self._reduced[spec]
-        known = self._normal(spec)
-        total, normal = self.total, known.normal
+        known, columns = self._normal(spec), Reduced.columns(self.model)
+        right, normal = self.total[:, columns], known.normal
         if without is not None:
             fold = self._fold(without)
-            normal = normal - congruent(known.t, fold)
-            total = np.subtract(total, fold, out=fold)
-        columns = Reduced.columns(self.model)
-        right = total[:, columns]
+            right, own = right - fold[:, columns], congruent(known.t, fold)
+            del fold  # several folds are reduced at a time
+            normal = np.subtract(normal, own, out=own)
         moment = known.t.T @ right
         factor, scale = factorize(normal, known.penalty(spec.penalty))
         half = linalg.solve_triangular(factor, moment / scale[:, None], lower=True, check_finite=False)

@@ -29,7 +29,7 @@ _SMOOTHING_BOUND = 2.0
 """Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05
 """Largest distance of a delay from that which its cause has, such as a half or a whole sample, samples."""
-_CERTAIN, _HALF = 4.0, 0.5
+_CERTAIN, HALF = 4.0, 0.5
 """Standard errors within which another timing of a drive must not lie, and its distance, samples."""
 _EXACT = 0.02
 """The same of a delay as decimated logs have: by five, one of -0.4 samples was estimated as -0.456."""
@@ -79,7 +79,7 @@ class Delay:
     @property
     def certain(self) -> bool:
         """Whether no other half or whole number of samples is as likely."""
-        return _CERTAIN * self.sigma < _HALF
+        return _CERTAIN * self.sigma < HALF
 
     @property
     def physical(self) -> bool:

@@ -12,7 +12,7 @@ from scipy import sparse
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
-from drive_id.core.full.delay import Delay, DelayJump, delay_jump
+from drive_id.core.full.delay import HALF, Delay, DelayJump, delay_jump
 from drive_id.core.full.lack_of_fit import LackOfFit
 from drive_id.core.full.linearized import DELAY, EffectSearch, FoundEffects
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
@@ -270,12 +270,15 @@ def _squares(model: FullModel, estimate: FloatArray, windows: Windows) -> float:
 def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> FloatArray:
     """Return the change (size,) of the estimate by a standard error of a delay that is no certain half or whole sample.
 
-    At a constant speed it turns all fluxes, and the residuals hardly change.
+    At a constant speed it turns all fluxes, and the residuals hardly change. A delay that was not taken is one of none,
+    unless the data leave room for half a sample: for more than that it does not count.
     """
-    delay, found = Delay(solution.spec.delay, 0.0), selection.search.found
-    if delay.value != found.delay.value or (delay.physical and found.delay.certain):
+    delay, found = Delay(solution.spec.delay, 0.0), selection.search.found.delay
+    taken = delay.value == found.value
+    if np.isnan(found.sigma) or (found.certain and (delay.physical or not taken)):
         return np.zeros(solver.model.size)
-    other = float(np.clip(delay.value + found.delay.sigma, -MOST_DELAY, MOST_DELAY))
+    step = found.sigma if taken else min(found.sigma, HALF)
+    other = float(np.clip(delay.value + step, -MOST_DELAY, MOST_DELAY))
     return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate
 
 

@@ -21,6 +21,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import sparse
 
+from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.resolution import Resolution
 from drive_id.core.full.windows import SHIFTS, Windows
@@ -36,8 +37,10 @@ FLUX_DEGREE, HARMONIC_DEGREE = 4, 3
 
 VOLTAGE, RESISTANCE = 0, 1  # columns of all variants, as the slices below
 CONSTANT = slice(2, 4)
-SHIFT = slice(4, 4 + len(SHIFTS))
+SHIFT = slice(4, 5 + len(SHIFTS))  # by each of SHIFTS, and last by the voltage before an end, turned on
 MAGNET = SHIFT.stop
+EARLIEST = -0.5
+"""Delay of the voltages, samples, below which no log is decimated: they are early by the steps of a drive."""
 
 
 def _layout(widths: dict[str, int]) -> dict[str, slice]:
@@ -290,7 +293,7 @@ class FullModel:
         columns[:, VOLTAGE] = windows.voltage
         columns[:, RESISTANCE] = windows.current * (1 + COPPER * windows.heating)
         columns[:, CONSTANT] = windows.duration[:, None] * np.array([1, 1j])
-        columns[:, SHIFT] = windows.shifted
+        columns[:, SHIFT] = np.append(windows.shifted, _turned_on(windows)[:, None], axis=1)
         columns[:, MAGNET] = windows.magnet_heating * np.diff(np.exp(1j * windows.angle), axis=1)[:, 0]
         columns.real[:, self.drops] = np.stack([2 * a, -b, -c], axis=-1).reshape(count, -1) / 3
         columns.imag[:, self.drops] = np.stack([np.zeros_like(a), b, -c], axis=-1).reshape(count, -1) / np.sqrt(3)
@@ -393,12 +396,24 @@ class ModelSpec:
 
 
 def delay_shares(delay: float) -> FloatArray:
-    """Return the weights (len(SHIFTS),) of the shift columns for a delay in samples, -4 to 4.
+    """Return the weights (K,) of the shift columns for a delay in samples, -4 to 4.
 
-    The commanded voltage is held, so a fractional delay takes exactly that fraction of the previous sample.
+    The commanded voltage is held, so a fractional delay takes exactly that fraction of the previous sample. A delay
+    between -0.5 and 0, as decimated logs have, would take it of the sample that begins at the end of a window: where
+    the controller answers at once to the noise of the current there, that predicts the noise, and such a delay was
+    missed. It takes the voltage before the end instead, turned on with the rotor.
     """
     shifts = np.array(SHIFTS)
-    return np.where(shifts < 0, np.clip(delay + shifts + 1, 0.0, 1.0), -np.clip(-delay - shifts, 0.0, 1.0))
+    if EARLIEST < delay < 0:
+        return np.append(np.zeros(len(shifts)), delay)
+    held = np.where(shifts < 0, np.clip(delay + shifts + 1, 0.0, 1.0), -np.clip(-delay - shifts, 0.0, 1.0))
+    return np.append(held, 0.0)
+
+
+def _turned_on(windows: Windows) -> ComplexArray:
+    """Return by how much the integral (N,) changes per sample by which the voltages act early, Vs."""
+    ahead = windows.held * np.exp(1j * windows.speed * windows.period[:, None])
+    return np.asarray(windows.period * (ahead[:, 1] - ahead[:, 0]))
 
 
 def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:

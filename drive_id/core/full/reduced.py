@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from drive_id.core.full.model import SHIFT, VOLTAGE, FullModel, delay_shares
+from drive_id.core.full.model import EARLIEST, SHIFT, VOLTAGE, FullModel, delay_shares
 from drive_id.core.full.windows import SHIFTS
 from drive_id.types import TINY, FloatArray, IntArray
 
@@ -32,19 +32,21 @@ def delayed(delay: float) -> FloatArray:
     return np.concatenate([[1.0], -delay_shares(delay), [-1.0]])
 
 
-_STARTS = np.array([delayed(low) for low in SHIFTS])
-_STEPS = np.array([delayed(low + 1.0) for low in SHIFTS]) - _STARTS
+_EDGES = np.array(sorted([*SHIFTS, SHIFTS[-1] + 1, EARLIEST]))
+"""Delays, samples, between which the columns are a straight line of the delay; at the earliest they change over."""
+_STARTS = np.array([delayed(low) for low in np.nextafter(_EDGES[:-1], np.inf)])
+_STEPS = (np.array([delayed(high) for high in _EDGES[1:]]) - _STARTS) / np.diff(_EDGES)[:, None]
 
 
 def best_delay(left: FloatArray) -> tuple[float, float, float]:
     """Return the delay, samples, that leaves least of a form over :func:`voltage_columns`, that, and the bend there."""
     bend = np.einsum("kb,bc,kc->k", _STEPS, left, _STEPS)
     slope = np.einsum("kb,bc,kc->k", _STEPS, left, _STARTS)
-    where = np.clip(-slope / np.maximum(bend, TINY), 0.0, 1.0)
+    where = np.clip(-slope / np.maximum(bend, TINY), 0.0, np.diff(_EDGES))
     at = _STARTS + where[:, None] * _STEPS
     squares = np.einsum("kb,bc,kc->k", at, left, at)
     best = int(np.argmin(squares))
-    return float(SHIFTS[best] + where[best]), float(squares[best]), float(bend[best])
+    return float(_EDGES[best] + where[best]), float(squares[best]), float(bend[best])
 
 
 @dataclass(frozen=True, eq=False)

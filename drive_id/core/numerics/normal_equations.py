@@ -177,4 +177,4 @@ def inverse_of(factor: FloatArray, scale: FloatArray) -> FloatArray:
     out, _ = linalg.lapack.dpotri(factor, lower=True)
     out /= scale[:, None]
     out /= scale
-    return _symmetric(np.asarray(out)).T  # in the order in which sparse matrices multiply it without a copy
+    return np.asarray(_symmetric(np.asarray(out)).T)  # in the order in which sparse matrices multiply it without a copy

@@ -89,7 +89,8 @@ def test_rows_say_what_the_balance_says(model, samples):
     x = rng.standard_normal(model.size)
     resistance, constant, drops = x[1], x[2] + 1j * x[3], x[model.drops].reshape(-1, 3)
     expected = x[0] * windows.voltage + resistance * windows.current + constant * windows.duration
-    expected = expected + windows.shifted @ x[SHIFT]
+    ahead = windows.held * np.exp(1j * windows.speed * windows.period[:, None]) * windows.period[:, None]
+    expected = expected + windows.shifted @ x[SHIFT][:-1] + (ahead[:, 1] - ahead[:, 0]) * x[SHIFT][-1]
     per_phase = np.einsum("nsp,sp->np", windows.shape, drops)
     expected = expected + 2 / 3 * per_phase @ np.exp(2j * np.pi / 3 * np.arange(3)) + windows.lag @ x[model.lags]
     expected = expected + windows.crossing * x[model.crossing]

@@ -98,4 +98,4 @@ def _moments(x: FloatArray) -> tuple[FloatArray, ComplexArray]:
     """Return the means (N,) of e^{j x s} and s e^{j x s} over s from -1 to 1."""
     x = np.where(np.abs(x) < _SMALL, _SMALL, x)
     mean = np.sin(x) / x
-    return mean, 1j * (mean - np.cos(x)) / x
+    return mean, np.asarray(1j * (mean - np.cos(x)) / x, np.complex128)

@@ -15,7 +15,7 @@ from drive_id.analysis.surfaces import Surfaces
 from drive_id.core.maps.continuation import LongerGrid, continued
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.quantity import measured
+from drive_id.quantity import counted, measured
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
@@ -128,7 +128,8 @@ class MachineModel:
         found = result.flux_map
         if found.inside.sum() < _FEWEST:
             raise CoverageError(
-                f"The flux map has only {found.inside.sum()} points with data: at least {_FEWEST} are needed; record "
+                f"The flux map has only {counted(found.inside.sum(), 'point')} with data: at least "
+                f"{_FEWEST} are needed; record "
                 "more of the current disc."
             )
         longer = LongerGrid.around(found.i_d, found.i_q, found.inside, max(_MARGIN * result.i_max, reach))

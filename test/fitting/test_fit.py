@@ -121,7 +121,7 @@ def test_bags_of_two_machines_are_not_fitted_together(bag, simulation, tmp_path)
 def test_settings_that_the_method_does_not_look_at_are_named(bag):
     (warning,) = fit_bags(Sources([bag]), None, FitSettings("psm", maps="free", u_dc=(400.0,))).provenance.warnings
     assert warning == "Method psm ignores maps, u_dc: remove them, or use method full."
-    with pytest.raises(ConfigurationError, match="u_dc has 2 entries for 1 recordings"):
+    with pytest.raises(ConfigurationError, match="u_dc has 2 entries for 1 recording:"):
         fit_bags(Sources([bag]), None, FitSettings(u_dc=(400.0, 300.0)))
 
 

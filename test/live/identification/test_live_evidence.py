@@ -294,7 +294,7 @@ def test_live_samples_are_the_first_recording_of_the_conditions():
     feed(warm, record(synthetic.reciprocal_flux, resistance=0.02, duration=2.0, noise=0.3))
     assert warm.snapshot().conclude().drive.resistance * (1 + 3.93e-3 * 80.0) == pytest.approx(0.02, rel=5e-3)
     warm.configure(replace(warm.settings, temperatures=(20.0, 30.0)))
-    with pytest.raises(ConfigurationError, match="temperatures has 2 entries for 1 recordings"):
+    with pytest.raises(ConfigurationError, match="temperatures has 2 entries for 1 recording:"):
         warm.snapshot()
 
 

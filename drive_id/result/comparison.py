@@ -196,7 +196,7 @@ def compare(first: Result | str | Path, second: Result | str | Path) -> Comparis
         When all flux linkages of B are zero, or the rotor was locked for one of them only.
     """
     first, second = (x if isinstance(x, Result) else Result.load(x) for x in (first, second))
-    found, other = first.flux_map, second.flux_map
+    found, other = first.drive.flux_map, second.drive.flux_map
     grid = np.meshgrid(found.i_d, found.i_q, indexing="ij")
     psi, psi_other = (np.stack(each.psi_dq(*grid), axis=-1) for each in (found, other))
     difference = psi - psi_other

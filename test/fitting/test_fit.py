@@ -111,8 +111,9 @@ def test_two_halves_are_fitted_like_the_whole(simulation, fitted, tmp_path):
 
 def test_bags_of_two_machines_are_not_fitted_together(bag, simulation, tmp_path):
     simulate_bag(machine_map("spm"), SHORT, tmp_path / "spm", TRAJECTORY, 1.0)
-    with pytest.raises(DataError, match=r"different machines \(ipm, spm\)"):
-        fit_bags(Sources([bag, tmp_path / "spm"]), None, FitSettings(method="joint"))
+    for settings in (FitSettings(method="joint"), FitSettings(method="full", i_max=300.0)):  # and before any check
+        with pytest.raises(DataError, match=rf"different machines \(ipm in {bag}, spm in .*spm\): fit each"):
+            fit_bags(Sources([bag, tmp_path / "spm"]), None, settings)
     write_recording(tmp_path / "blind", simulation.samples)
     fit = fit_bags(Sources([tmp_path / "blind", tmp_path / "spm"]), None, FitSettings(method="joint"))
     assert fit.provenance.nrmse is None

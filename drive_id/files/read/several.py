@@ -142,7 +142,8 @@ class SeveralBags:
     def pieces(self, what: str) -> Iterator[tuple[Piece, bool]]:
         """Yield the samples of all bags piece by piece, each with whether it is the first of a bag or of a part of one.
 
-        Raises DataError once they turn out to be of different machines. ``what`` is told with the progress. For the errors, see :func:`~drive_id.files.read.reader.bag_pieces`.
+        ``what`` is told with the progress. Raises DataError once the bags turn out to be of different machines; for
+        other errors, see :func:`~drive_id.files.read.reader.bag_pieces`.
         """
         self._facts, self._several = [], SeveralRecordings()
         self.samples, self._start = 0, time.monotonic()

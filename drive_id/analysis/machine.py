@@ -409,7 +409,7 @@ class MachineModel:
 
 def folded(result: Result) -> str:
     """Return the sentence on where the map of a result folds; empty where it does not, or is too small to tell."""
-    if not result.origin.turning or result.flux_map.inside.sum() < _FEWEST:
+    if not result.origin.turning or result.enclosed.flux_map.inside.sum() < _FEWEST:
         return ""
     model = MachineModel.of(result)
     return "" if model.monotone_inside else f"{model.fold} {_CONSEQUENCE}"

@@ -221,7 +221,7 @@ def test_losses_and_silence_are_told(ros):
     information = yaml.safe_load((recorder.data / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert information["custom_data"]["samples_lost:/resolver"] == "200"
     assert len(information["relative_file_paths"]) > 1  # split by duration
-    assert any("missing in 1 places" in text for text in read_recording(recorder.data / "bag").warnings)
+    assert any("missing in 1 place" in text for text in read_recording(recorder.data / "bag").warnings)
 
 
 @pytest.fixture

@@ -232,7 +232,7 @@ def test_a_jump_of_the_resolver_is_refused_on_every_way_in(samples, tmp_path, me
         live.snapshot().conclude,
     )
     for way in ways:
-        with pytest.raises(DataError, match=r"jumps in 1 places, the first at 0\.700000 s by 2\.00 rad") as found:
+        with pytest.raises(DataError, match=r"jumps in 1 place, the first at 0\.700000 s by 2\.00 rad") as found:
             way()
         assert type(found.value) is DataError
 

@@ -149,17 +149,10 @@ class Result:
             drive.inverter_current, drive.inverter_voltage, drive.sigma_inverter_voltage, drive.phase_voltages
         )
 
-    @cached_property
+    @property
     def flux_map(self) -> FluxMap:
         """Flux linkages, incremental inductances and standard errors at any current that samples at least enclose."""
-        found, modes = self.drive.flux_map, self.drive.error_modes
-        if modes is None or not (beyond := modes.known & ~found.inside).any():
-            return found
-        sigma_d, sigma_q = (
-            np.where(beyond, np.linalg.norm(errors, axis=0), own)
-            for errors, own in ((modes.psi_d, found.sigma_d), (modes.psi_q, found.sigma_q))
-        )
-        return replace(found, sigma_d=sigma_d, sigma_q=sigma_q, enclosed=beyond)
+        return self.drive.answering
 
     @cached_property
     def enclosed(self) -> Self:

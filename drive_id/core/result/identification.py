@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -379,6 +379,18 @@ class IdentifiedDrive(Parameters):
     mechanics: Mechanics | None = None  # of a free shaft, by the torque of the map
     simulated: SimulatedCurrent | None = None  # where the MAD comes from; None when the result was read from files
     linear: LinearMachine | None = None  # magnet flux and inductances at zero current; method static
+
+    @cached_property
+    def answering(self) -> FluxMap:
+        """The map that answers also where samples only enclose a current, with the standard errors of the fit there."""
+        found, modes = self.flux_map, self.error_modes
+        if modes is None or not (beyond := modes.known & ~found.inside).any():
+            return found
+        sigma_d, sigma_q = (
+            np.where(beyond, np.linalg.norm(errors, axis=0), own)
+            for errors, own in ((modes.psi_d, found.sigma_d), (modes.psi_q, found.sigma_q))
+        )
+        return replace(found, sigma_d=sigma_d, sigma_q=sigma_q, enclosed=beyond)
 
     @property
     def origin(self) -> Origin:

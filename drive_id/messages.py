@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from drive_id.quantity import measured, plain
+from drive_id.quantity import counted, measured, plain
 
 Value = float | int | str
 """Of a message: SI units; a text only where it names something."""
@@ -105,13 +105,14 @@ def _plain(value: Value) -> Value:
 
 
 class _Templates(Formatter):
-    """Fills templates as ``str.format`` does, with five additions.
+    """Fills templates as ``str.format`` does, with six additions.
 
     - ``{clause}`` is replaced by the template of that name.
     - ``{x:.3g|m}`` is in thousandths; likewise ``k``, ``u``, ``deg`` (of rad), ``%``, and ``phase`` for a, b or c.
     - ``{x:|nouns}`` is a list of effects, by the nouns for them.
     - ``{x:±{sigma} ohm}`` has a standard error, see :func:`~drive_id.quantity.measured`; shares in ``%``, rad in ``°``.
       ``{x:±{sigma} ohm of {resistance}}`` is in the unit for that size.
+    - ``{x:# gap}`` is a number and what it counts, ``{x:#is//are}`` what agrees with it alone; a format may precede it.
     - ``{x:?yes//no}`` is one of two texts, whether the value is known and not False.
     """
 
@@ -129,16 +130,24 @@ class _Templates(Formatter):
         if value is None:
             return _MISSING
         if format_spec.startswith("±"):
-            sigma, unit = format_spec[1:].split(" ", 1)
-            unit, _, size = unit.partition(" of ")
-            if size == _MISSING:
-                return _MISSING
-            scale = {"%": 100.0, "°": _SCALES["deg"]}.get(unit, 1.0)
-            return measured(scale * value, scale * float(sigma), unit, abs(float(size or "nan")))
+            return _with_error(value, *format_spec[1:].split(" ", 1))
+        format_spec, counts, nouns = format_spec.partition("#")
+        if counts:
+            one, _, more = nouns.strip().partition("//")
+            number, _, word = counted(self.format_field(value, format_spec), one, more).partition(" ")
+            return f"{number} {word}" if nouns.startswith(" ") else word
         spec, _, unit = format_spec.partition("|")
         if unit in _SHOWN:
             return _SHOWN[unit](value, spec)
         return format(_SCALES[unit] * value if unit else value, spec)
+
+
+def _with_error(value: float, sigma: str, unit: str) -> str:
+    unit, _, size = unit.partition(" of ")
+    if size == _MISSING:
+        return _MISSING
+    scale = {"%": 100.0, "°": _SCALES["deg"]}.get(unit, 1.0)
+    return measured(scale * value, scale * float(sigma), unit, abs(float(size or "nan")))
 
 
 def _percent(share: float, spec: str) -> str:

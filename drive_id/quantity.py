@@ -98,6 +98,11 @@ def measured(value: float, sigma: float = math.nan, unit: str = "", size: float 
     return f"{text} {unit}".rstrip().replace("-", "\N{MINUS SIGN}")
 
 
+def counted(number: object, noun: str, plural: str = "") -> str:
+    """Return a number and what it counts, such as ``1 gap`` and ``2 gaps``."""
+    return f"{number} {noun if str(number).lstrip('+-') == '1' else plural or noun + 's'}"
+
+
 def rounded(value: float, digits: int = _DIGITS) -> str:
     """Return a number to some significant digits, without an exponent where it is of a usual size."""
     return f"{float(f'{value:.{digits}g}'):.10g}"

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.errors import ConfigurationError, DataError, NonFiniteError
+from drive_id.quantity import counted
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -141,7 +142,7 @@ class Samples:
                 k = int(np.argmin(usable))
                 what = "NaN or infinite" if not np.isfinite(values).all() else f"larger than {_LARGEST:g}"
                 raise NonFiniteError(
-                    f"{name} holds {n - int(usable.sum())} samples that are {what}, the first at "
+                    f"{name} holds {counted(n - int(usable.sum()), 'sample')} {what}, the first at "
                     f"{(self.stamp[k] - self.stamp[0]) * 1e-9:.6f} s: repair or cut the recording there."
                 )
 
@@ -150,7 +151,7 @@ class Samples:
 
     def __repr__(self) -> str:
         parts = [f"{len(self)} at {1e-3 / self.sample_period:.6g} kHz", f"{self.duration:.4g} s"]
-        parts += [f"{len(self.run_starts)} runs"] if len(self.run_starts) > 1 else []
+        parts += [f"{counted(len(self.run_starts), 'run')}"] if len(self.run_starts) > 1 else []
         known = ["references"] if self.i_dq_reference is not None else []
         known += [name.replace("_", " ") for name in self.scalars()]
         parts += [f"with {' and '.join(known)}"] if known else []

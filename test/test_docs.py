@@ -130,11 +130,13 @@ WARNINGS = [(codes, "…".join(quoted)) for codes, said in ROWS if (quoted := re
 
 
 def templates(codes):
-    """Return the templates of codes, their clauses filled in; without codes, all."""
+    """Return the templates of codes, their clauses filled in and words in the plural; without codes, all."""
     found = [
         text for kind in CATALOGUE for key, text in CATALOGUE[kind].items() if not codes or key.split(".")[0] in codes
     ]
-    return [re.sub(r"\{(\w+)\}", lambda name: CATALOGUE["clause"].get(name[1], name[0]), text) for text in found]
+    found = [re.sub(r"\{(\w+)\}", lambda name: CATALOGUE["clause"].get(name[1], name[0]), text) for text in found]
+    word = re.compile(r"\{\w+:[^{}#]*#([^{}/]+)(?://([^{}]+))?\}")
+    return [word.sub(lambda of: of[2] or f"{of[1]}s", text) for text in found]
 
 
 @pytest.mark.parametrize(("names", "title"), WARNINGS)

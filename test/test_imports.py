@@ -91,7 +91,7 @@ ROOMS = {
     "drive_id.errors": Room.of(set(), set()),
     "drive_id.health": Room.of(set(), set()),
     "drive_id.interrupts": Room.of(set(), set()),
-    "drive_id.types": Room.of({"drive_id.errors"}, {"numpy"}),
+    "drive_id.types": Room.of({"drive_id.errors", "drive_id.quantity"}, {"numpy"}),
     "drive_id.origins": Room.of({"drive_id.errors"}, set()),
     "drive_id.messages": Room.of({"drive_id.quantity"}, {"yaml"}),
     "drive_id.quantity": Room.of(set(), set()),

@@ -9,6 +9,7 @@ import math
 import pickle
 import re
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from string import Formatter
 
@@ -26,6 +27,11 @@ FAMILIES = {
     "not_reciprocal", "separation", "left_out",
 }  # fmt: skip
 """Codes whose wordings the code puts together."""
+COUNTED = (
+    "bytes|cells|changes|columns|degrees|entries|files|gaps|messages|pairs|parts|places|points|recordings|requests|results"
+    "|rows|runs|samples|unknowns|windows"
+)
+"""What counts count, where one may be all there is."""
 REPORTED = "{reason}"  # of an exception, or of a draft
 
 
@@ -37,9 +43,13 @@ def literals() -> set[str]:
     return {node.value for node in nodes if isinstance(node.value, str) and len(node.value) < 60}
 
 
-def names_in(template: str) -> set[str]:
+def fields_in(template: str) -> list[tuple[str, str]]:
     fields = [(name, spec or "") for _, name, spec, _ in Formatter().parse(template) if name]
-    return {name for name, _ in fields}.union(*(names_in(spec) for _, spec in fields))
+    return sum((fields_in(spec) for _, spec in fields), fields)
+
+
+def names_in(template: str) -> set[str]:
+    return {name for name, _ in fields_in(template)}
 
 
 def test_a_message_is_its_sentence_and_its_values():
@@ -128,6 +138,40 @@ def test_clauses_and_nouns_are_used():
 def test_a_share_beyond_reason_is_told_as_such():
     assert "leaves more than 1000 % of the voltage" in Message("unexplained.fit", unexplained=7e40)
     assert "leaves 450 % of the voltage" in Message("unexplained.fit", unexplained=4.5)
+
+
+@pytest.mark.parametrize("key", TEMPLATES)
+def test_one_is_singular(key):
+    """All numbers at 1, in all parts of the sentence, as a count may be."""
+    fields = [
+        (name, spec) for text in (TEMPLATES[key], *CATALOGUE["clause"].values()) for name, spec in fields_in(text)
+    ]
+    names = {name for name, _ in fields} - {*CATALOGUE["clause"], "several"}
+    nouns = {name for name, spec in fields if "nouns" in spec}
+    sentence = Message(key, **{name: "iron_loss" if name in nouns else 1 for name in names})
+    assert not re.search(rf"(?<![\d.])1 ([a-z]+ )??({COUNTED})\b", sentence), sentence
+    assert not re.search(r"(?<![\d.])1 (?!more)[a-z]+( of 1)? (are|were|have|lack|lie)\b", sentence), sentence
+
+
+def test_counts_in_the_code_agree():
+    """In texts that the code itself puts together; a name in capitals is a limit, larger than 1."""
+    counted = (
+        r" ((?!holds )[a-z]+ )??(bytes|entries|gaps|messages|parts|places|recordings|requests|results|rows|samples)\b"
+    )
+    odd = []
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            parts = node.values if isinstance(node, ast.JoinedStr) else []
+            for value, text in pairwise(parts):
+                if (
+                    isinstance(value, ast.FormattedValue)
+                    and value.format_spec is None
+                    and isinstance(text, ast.Constant)
+                    and re.match(counted, text.value)
+                    and not re.match(r"_?[A-Z]|.*(join|method)", ast.unparse(value.value))
+                ):
+                    odd.append(f"{path.name}: {ast.unparse(value.value)}{text.value:.50}")
+    assert odd == []
 
 
 def test_a_name_of_a_damaged_file_is_no_missing_value():

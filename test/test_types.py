@@ -122,7 +122,7 @@ def test_values_whose_squares_overflow_are_refused(name, value, said):
     whole = numbered(6)
     array = getattr(whole, name).copy()
     array[3] = value
-    with pytest.raises(NonFiniteError, match=rf"{name} holds 1 samples that are .*{said}"):
+    with pytest.raises(NonFiniteError, match=rf"{name} holds 1 sample .*{said}"):
         replace(whole, **{name: array})
     array[3] = np.finfo(np.float32).max  # what a message can hold is judged by the checks of a fit
     replace(whole, **{name: array})

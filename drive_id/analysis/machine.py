@@ -15,7 +15,7 @@ from drive_id.analysis.surfaces import Surfaces
 from drive_id.core.maps.continuation import LongerGrid, continued
 from drive_id.core.result.identification import FluxMap
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.quantity import measured
+from drive_id.quantity import counted, measured
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
@@ -128,7 +128,8 @@ class MachineModel:
         found = result.flux_map
         if found.inside.sum() < _FEWEST:
             raise CoverageError(
-                f"The flux map has only {found.inside.sum()} points with data: at least {_FEWEST} are needed; record "
+                f"The flux map has only {counted(found.inside.sum(), 'point')} with data: at least "
+                f"{_FEWEST} are needed; record "
                 "more of the current disc."
             )
         longer = LongerGrid.around(found.i_d, found.i_q, found.inside, max(_MARGIN * result.i_max, reach))
@@ -408,7 +409,7 @@ class MachineModel:
 
 def folded(result: Result) -> str:
     """Return the sentence on where the map of a result folds; empty where it does not, or is too small to tell."""
-    if not result.origin.turning or result.flux_map.inside.sum() < _FEWEST:
+    if not result.origin.turning or result.enclosed.flux_map.inside.sum() < _FEWEST:
         return ""
     model = MachineModel.of(result)
     return "" if model.monotone_inside else f"{model.fold} {_CONSEQUENCE}"

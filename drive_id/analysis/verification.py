@@ -164,7 +164,7 @@ def verify(result: Result, samples: Samples) -> Verification:
         When the rotor was locked for the result.
     """
     result.check_turning()
-    found, shapes = result.flux_map, CapacitiveShapes.up_to(result.i_max)
+    found, shapes = result.drive.flux_map, CapacitiveShapes.up_to(result.i_max)
     cutter, known = WindowCutter(shapes), corrected(samples, result.calibrations)
     windows, psi, column, counts = _cells(result, Windows.joined([*cutter.cut(known), *cutter.finish()]))
     by_drop, factor = _drop(result, shapes, windows), np.ones(len(windows))
@@ -239,7 +239,7 @@ def _cells(result: Result, windows: Windows) -> tuple[Windows, ComplexArray, Int
 
 def _stator_flux(result: Result, windows: Windows) -> tuple[ComplexArray, BoolArray]:
     """Return the flux of the map at both ends of windows (N, 2), Wb, stator frame, and which windows (N,) have it."""
-    found, iron, i_dq = result.flux_map, IronLoss.of(result), windows.i_dq
+    found, iron, i_dq = result.drive.flux_map, IronLoss.of(result), windows.i_dq
     if iron.known:
         psi_d, psi_q = found.psi_dq(*np.moveaxis(i_dq, -1, 0))
         e_dq = windows.speed[..., None] * np.stack([-psi_q, psi_d], axis=-1)

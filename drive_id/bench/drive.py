@@ -19,6 +19,7 @@ from drive_id.bench.scalars import SCALAR_SETTINGS, logged_scalars
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ConfigurationError, DataError
+from drive_id.quantity import counted
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
 SETTLING_TIME = 0.05  # for which the drive runs at its first reference before the first sample, s
@@ -135,7 +136,9 @@ class Drive:
         every = self.settings.log_decimation
         logged = slice(-self._next % every, None, every)
         if logged.start >= n:
-            raise DataError(f"None of the {n} samples is logged with log_decimation {every}: give longer blocks.")
+            raise DataError(
+                f"None of the {counted(n, 'sample')} is logged with log_decimation {every}: give longer blocks."
+            )
         out, course = self._run(reference, self._speed(ticks * period))
         self._next += n
         stamp, u_abc = ticks[:-1][logged] * (period * 1e9), out.u_abc[logged]

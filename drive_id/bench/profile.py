@@ -8,6 +8,7 @@ import numpy as np
 
 from drive_id.bench.settings import SimulationSettings
 from drive_id.errors import ConfigurationError
+from drive_id.quantity import counted
 from drive_id.types import FloatArray
 
 
@@ -30,7 +31,8 @@ class SpeedProfile:
         if not shares:
             if duration is None:
                 raise ConfigurationError(
-                    f"{len(settings.speeds)} speeds have no durations: set segment_durations for a drive that runs on."
+                    f"There is no duration for {counted(len(settings.speeds), 'speed')}: set "
+                    f"segment_durations for a drive that runs on."
                 )
             shares = (duration / len(settings.speeds),) * len(settings.speeds)
         if min(shares[1:]) < settings.ramp_time:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from drive_id.bench.effect_settings import MOST_ORDERS, InverterEffects, MachineEffects, SensorEffects, ShaftEffects
 from drive_id.errors import ConfigurationError
+from drive_id.quantity import counted
 from drive_id.settings import Checked, setting
 from drive_id.types import SCALARS
 
@@ -100,7 +101,8 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
             raise ConfigurationError("speeds is empty: give at least one speed in rpm.")
         if self.segment_durations and len(self.segment_durations) != len(self.speeds):
             raise ConfigurationError(
-                f"segment_durations has {len(self.segment_durations)} entries for {len(self.speeds)} speeds: give one "
+                f"segment_durations has {counted(len(self.segment_durations), 'entry', 'entries')} "
+                f"for {counted(len(self.speeds), 'speed')}: give one "
                 "for each, or none for equal shares."
             )
         if self.i_max == 0.0:
@@ -112,13 +114,15 @@ class SimulationSettings(MachineEffects, InverterEffects, SensorEffects, ShaftEf
             errors, phases = (len(getattr(self, f"resolver_{kind}_{what}")) for what in ("errors", "phases"))
             if phases > errors:
                 raise ConfigurationError(
-                    f"resolver_{kind}_phases has {phases} entries for {errors} resolver_{kind}_errors: give at most "
+                    f"resolver_{kind}_phases has {counted(phases, 'entry', 'entries')} and "
+                    f"resolver_{kind}_errors {errors}: give at most "
                     "one for each."
                 )
         for name in ("eccentricity", "resolver_electrical_errors", "resolver_mechanical_errors"):
             if len(getattr(self, name)) > MOST_ORDERS:
                 raise ConfigurationError(
-                    f"{name} has {len(getattr(self, name))} entries: give at most {MOST_ORDERS}, for the orders 1 to "
+                    f"{name} has {counted(len(getattr(self, name)), 'entry', 'entries')}: give at "
+                    f"most {MOST_ORDERS}, for the orders 1 to "
                     f"{MOST_ORDERS}."
                 )
         if sum(abs(amplitude) for amplitude in self.eccentricity) > 0.5:

@@ -24,6 +24,7 @@ from drive_id.cli.plan import plan_experiment
 from drive_id.cli.results import analyze, compare_results, report_result, verify_result
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError, OutputError
+from drive_id.quantity import counted
 from drive_id.version import VERSION
 
 if TYPE_CHECKING:
@@ -187,7 +188,9 @@ def simulate(
     if as_json:
         console.print_json({"bag": str(output), "machine": truth.machine, "samples": len(simulation.samples)})
     elif not quiet:
-        console.say(f"{output}: {len(simulation.samples)} samples of machine {truth.machine}, {truth.i_max:.4g} A.")
+        console.say(
+            f"{output}: {counted(len(simulation.samples), 'sample')} of machine {truth.machine}, {truth.i_max:.4g} A."
+        )
 
 
 def fit(
@@ -330,7 +333,7 @@ def accumulate(
         console.print_json({"information": str(output)} | information_tree(result))
     elif not quiet:
         console.warn(*result.warnings)
-        console.say(f"{output}: {result.samples} samples, disc of {result.evidence.i_max:.4g} A.")
+        console.say(f"{output}: {counted(result.samples, 'sample')}, disc of {result.evidence.i_max:.4g} A.")
 
 
 def info(
@@ -408,7 +411,9 @@ def recover(
     elif not quiet:
         for warning in recovery.damage or ("The recording is intact: nothing had to be recovered.",):
             console.say(warning, style="yellow")
-        console.say(f"{recovery.output}: {sum(recovery.topics.values())} messages, {recovery.duration:.3f} s.")
+        console.say(
+            f"{recovery.output}: {counted(sum(recovery.topics.values()), 'message')}, {recovery.duration:.3f} s."
+        )
 
 
 _COMMANDS: dict[str, dict[str, tuple[Callable[..., None], str | None, str]]] = {

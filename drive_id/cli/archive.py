@@ -7,6 +7,7 @@ import typer
 
 from drive_id.cli import console, options
 from drive_id.errors import ConfigurationError
+from drive_id.quantity import counted
 
 
 def index_results(
@@ -35,7 +36,7 @@ def index_results(
     if as_json:
         console.print_json({"page": str(path), "results": [str(entry.folder) for entry in found]})
     elif not quiet:
-        console.say(f"{path}: {len(found)} results.")
+        console.say(f"{path}: {counted(len(found), 'result')}.")
 
 
 def serve_results(

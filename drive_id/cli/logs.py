@@ -7,6 +7,7 @@ import typer
 
 from drive_id.cli import console, options
 from drive_id.errors import ConfigurationError, OutputError
+from drive_id.quantity import counted
 
 if TYPE_CHECKING:
     from drive_id.inspection.inspect import Inspection
@@ -102,4 +103,4 @@ def convert_log(
     elif not quiet:
         console.warn(*recording.warnings)
         period, runs = samples.sample_period * 1e6, len(samples.run_starts)
-        console.say(f"{bag}: {len(samples)} samples every {period:.6g} us, {runs} runs.")
+        console.say(f"{bag}: {counted(len(samples), 'sample')} every {period:.6g} us, {counted(runs, 'run')}.")

@@ -8,6 +8,7 @@ import typer
 
 from drive_id.cli import console, options
 from drive_id.errors import ConfigurationError
+from drive_id.quantity import counted
 
 
 def import_file(
@@ -170,5 +171,5 @@ def export_result(
         console.print_json(tree | {"warnings": list(exported.warnings)})
     elif not quiet:
         console.warn(*exported.warnings)
-        size = f", {exported.points} points" if exported.points else ""
+        size = f", {counted(exported.points, 'point')}" if exported.points else ""
         console.say(f"{output}: {title}{size}.")

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 from drive_id.errors import ConfigurationError
 from drive_id.origins import METHODS, ORIGINS
+from drive_id.quantity import counted
 from drive_id.settings import Checked, setting
 
 _MOST_FUNCTIONS = 1024  # of the paper's regression: memory grows with their square
@@ -127,7 +128,8 @@ class FitSettings(Checked):
             given = len(getattr(self, name))
             if given not in {0, count}:
                 raise ConfigurationError(
-                    f"{name} has {given} entries for {count} recordings: give one for each, in order."
+                    f"{name} has {counted(given, 'entry', 'entries')} for "
+                    f"{counted(count, 'recording')}: give one for each, in order."
                 )
 
     def of_recording(self, number: int) -> FitSettings:
@@ -138,7 +140,8 @@ class FitSettings(Checked):
         for name in ("temperatures", "u_dc"):
             if getattr(self, name) and number >= len(getattr(self, name)):
                 raise ConfigurationError(
-                    f"{name} has {len(getattr(self, name))} entries and there are more recordings: give one for each, "
+                    f"{name} has {counted(len(getattr(self, name)), 'entry', 'entries')} and there "
+                    f"are more recordings: give one for each, "
                     "in order."
                 )
         one = slice(number, number + 1)
@@ -149,7 +152,8 @@ class FitSettings(Checked):
         super().__post_init__()
         if self.temperatures and self.u_dc and len(self.temperatures) != len(self.u_dc):
             raise ConfigurationError(
-                f"There are {len(self.temperatures)} temperatures and {len(self.u_dc)} DC-link voltages: give both for "
+                f"There are {counted(len(self.temperatures), 'temperature')} and {len(self.u_dc)} "
+                f"DC-link voltages: give both for "
                 "each recording, and set them at once."
             )
         if len(set(self.harmonic_orders)) != len(self.harmonic_orders) or len(self.harmonic_orders) > MOST_ORDERS:

@@ -20,6 +20,7 @@ from drive_id.inspection.duty import full_scale
 from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
 from drive_id.inspection.static_draft import is_slow, static_draft
+from drive_id.quantity import counted
 
 _SAME_RATE = 0.005
 """Relative difference up to which two sample periods are the same."""
@@ -296,7 +297,7 @@ class _DraftText:
                 sure = named or (np.ptp(y) > 0 and pairs == 1) or (unit == "rpm" and near.max() < _SAME_SPEED / 4)
                 if near[0] < _SAME_SPEED and near[1] < 2.5 * _SAME_SPEED and sure:
                     scale = pairs * (1 if ratios[0] > 0 else -1)
-                    why = f"   # {pairs} pole pairs: the angle is electrical, the speed that of the shaft"
+                    why = f"   # {counted(pairs, 'pole pair')}: the angle is electrical, the speed that of the shaft"
                     scaled = [f"  speed_scale: {scale}{why if pairs > 1 else ''}"] if scale != 1 else []
                     return [f"  speed: {quoted(name)}", f"  speed_unit: {unit}", *scaled]
         return ["  # no field is the speed of this angle: it is derived from the angle"]

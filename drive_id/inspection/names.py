@@ -11,11 +11,11 @@ _PHASES = ("abc", "uvw", "rst", "123", "012", "xyz")
 _PAIRS = (("d", "q", "dq"), ("alpha", "beta", "alpha_beta"), ("al", "be", "alpha_beta"))
 _WORDS = {
     "current": ("i", "is", "im", "iabc", "idq", "cur", "curr", "current", "amp", "ampere", "strom", "a"),
-    "voltage": ("u", "v", "us", "vs", "uabc", "vabc", "udq", "vdq", "volt", "voltage", "duty", "pwm", "spannung", "mod",
-                "modulation"),
+    "voltage": ("u", "v", "us", "vs", "uabc", "vabc", "udq", "vdq", "volt", "voltage", "duty", "pwm", "spannung",
+                "tastverh", "tastgrad", "mod", "modulation"),
     "reference": ("ref", "reference", "set", "setpoint", "cmd", "command", "target", "des", "desired", "soll", "star"),
-    "angle": ("angle", "theta", "position", "pos", "phi", "rotor", "enc", "encoder", "counts", "epos", "winkel", "th",
-              "resolver", "el"),
+    "angle": ("angle", "theta", "position", "pos", "phi", "rotor", "enc", "encoder", "counts", "epos", "winkel", "lage",
+              "gamma", "th", "resolver", "el"),
     "speed": ("speed", "velocity", "vel", "omega", "rpm", "erpm", "n", "w", "drehzahl"),
     "dc": ("dc", "udc", "vdc", "ubus", "vbus", "bus", "link", "dclink", "zk", "uzk", "battery", "supply"),
     "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds", "sec", "secs", "today", "elapsed"),
@@ -67,12 +67,13 @@ def unit_factor(name: str, unit: str = "") -> float:
 
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
     """Yield the triples of phases and the pairs of components among names, each once; triples of phases first."""
-    known, seen = set(names), set()
+    known, seen = set(names), set[tuple[str, ...]]()
     for group in (
         *_lines(names, known),
         *_triples(names, known),
         *_components(names, known),
         *_two_phases(names, known),
+        *_repeated(names, known),
     ):
         if group.names not in seen:
             seen.add(group.names)
@@ -115,6 +116,18 @@ def _two_phases(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
         for three, stem in _replaced(name):
             if known.issuperset(three[:2]) and three[2] not in known and stem:
                 yield NameGroup(three[:2], "abc", stem)
+
+
+def _repeated(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
+    """Yield groups of later columns of the same names, their number behind: a, b, c, a (5), b (6), c (7)."""
+    later: dict[str, list[str]] = {}
+    for name in names:
+        base = re.sub(r" \(\d+\)$", "", name)
+        if base != name and base in known:
+            later.setdefault(base, []).append(name)
+    for group in name_groups(list(later)) if len(later) > 1 else ():
+        for repeated in zip(*(later[name] for name in group.names), strict=False):
+            yield NameGroup(repeated, group.frame, group.stem)
 
 
 def _replaced(name: str) -> Iterator[tuple[tuple[str, str, str], str]]:

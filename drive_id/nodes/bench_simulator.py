@@ -29,6 +29,7 @@ from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import STREAM
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.signal_messages import SignalPublishers
+from drive_id.quantity import counted
 
 _SHORTEST_TICK = 2e-3
 """Time between looks at which samples are due, s: shorter blocks are published several at once."""
@@ -147,7 +148,9 @@ class BenchSimulator(Node):
 
     def _check(self, settings: SimulationSettings) -> None:
         if settings.speeds != self._drive.speeds and len(settings.speeds) != 1:
-            raise ConfigurationError(f"speeds has {len(settings.speeds)} entries: give a running drive one new speed.")
+            raise ConfigurationError(
+                f"speeds has {counted(len(settings.speeds), 'entry', 'entries')}: give a running drive one new speed."
+            )
 
     def _on_settings(self, settings: SimulationSettings) -> None:
         if settings.speeds != self._drive.speeds:

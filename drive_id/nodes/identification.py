@@ -46,6 +46,7 @@ from drive_id.nodes.support.request_server import RequestServer
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.signal_messages import KINDS
 from drive_id.nodes.support.topics.live import LiveTopics
+from drive_id.quantity import counted
 from drive_id.types import SCALARS, Progress
 
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way, and at whether a background fit is due
@@ -218,7 +219,7 @@ class IdentificationNode(ManagedNode):
 def _list_results(folders: ResultFolders, request: Any, response: Any) -> Any:
     found, response.total = folders.find(request.machine, request.serial, request.most or MOST_LISTED)
     response.results = [result_info(each) for each in found]
-    response.message = f"{len(found)} of {response.total} results."
+    response.message = f"{len(found)} of {counted(response.total, 'result')}."
     return response
 
 

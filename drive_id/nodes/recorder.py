@@ -33,6 +33,7 @@ from drive_id.nodes.support.qos import LATCHED, STREAM_BEST_EFFORT, overridable
 from drive_id.nodes.support.recording_messages import recorder_state_message, recording_info
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.topics.recorded import RecordedTopics
+from drive_id.quantity import counted
 
 _STATE_PERIOD = 1.0  # s between messages of the state of a recording
 _MATCH_PERIOD = 0.25  # s between checks of who publishes
@@ -170,7 +171,7 @@ class Recorder(ManagedNode):
         directory = Path(self._settings.data_directory)
         found, response.total = find_recordings(directory, request.name, request.most or MOST_LISTED)
         response.recordings = [recording_info(each) for each in found]
-        response.message = f"{len(found)} of {response.total} recordings."
+        response.message = f"{len(found)} of {counted(response.total, 'recording')}."
         return response
 
     def _health(self) -> Health:

@@ -31,6 +31,8 @@ _LABEL = np.array([0.27, 0.12])
 """Width and height to keep free around the label of a level, relative to the disc's radius."""
 _FINE = 181
 """Points along each axis of the disc at which maps are drawn."""
+_PALE = 0.35
+"""Share of white over what samples only enclose."""
 _FILL = 1.0  # drawing order in the disc: from the filled contours
 _TRAJECTORY = 1.2  # each one above the one before
 _LINES = 1.4
@@ -46,14 +48,18 @@ class Disc:
         self.axis = np.linspace(-i_max, i_max, _FINE)
         i_d, i_q = np.meshgrid(self.axis, self.axis, indexing="ij")
         self.radius = np.hypot(i_d, i_q)
-        self.known: BoolArray = flux_map.inside & (np.hypot(flux_map.i_d[:, None], flux_map.i_q) <= i_max)
+        inside = flux_map.inside if flux_map.enclosed is None else flux_map.inside | flux_map.enclosed
+        self.known: BoolArray = inside & (np.hypot(flux_map.i_d[:, None], flux_map.i_q) <= i_max)
         cell = max(float(np.diff(axis).max()) for axis in (flux_map.i_d, flux_map.i_q))
         # The last cell at the rim counts as the one before it: nodes there stand for half a cell only.
         pulled = np.minimum(1.0, max(i_max - 1.5 * cell, 0.5 * i_max) / np.maximum(self.radius, 1e-9 * i_max))
         i_d, i_q = i_d * pulled, i_q * pulled
-        self.support = flux_map.sampled(flux_map.inside.astype(np.float64), i_d, i_q)
+        self.support = flux_map.sampled(inside.astype(np.float64), i_d, i_q)
         for x, axis in ((i_d, flux_map.i_d), (i_q, flux_map.i_q)):
             self.support[(x < axis[0]) | (x > axis[-1])] = 0.0  # sampled, it is that at the end of the axis
+        self.pale: FloatArray | None = None  # below 0.5 where samples only enclose the current
+        if flux_map.enclosed is not None and flux_map.enclosed.any():
+            self.pale = flux_map.sampled(flux_map.inside.astype(np.float64), i_d, i_q)
         self.blank: BoolArray = (self.support < 0.5) & (self.radius <= i_max)
         self.depth = _depth(~self.blank & (self.radius <= i_max))
 
@@ -124,6 +130,8 @@ def draw_flux(axes: Axes, disc: Disc, component: str, i_dq: FloatArray | None = 
     steps, lines = levels(low, high, 20), levels(low, high, 11)
     field = disc.field(np.clip(psi, steps[0], steps[-1]))  # without data the map may hold anything
     filled = axes.contourf(disc.axis, disc.axis, field.T, levels=steps, cmap=COLOURS, zorder=_FILL)
+    if disc.pale is not None:
+        axes.contourf(disc.axis, disc.axis, disc.pale.T, levels=[-1.0, 0.5], colors="white", alpha=_PALE, zorder=_FILL)
     add_colour_bar(axes, filled, lines)
     drawn = lines[(lines > field.min()) & (lines < field.max())]
     if len(drawn):  # without any, matplotlib before 3.11 warns
@@ -254,8 +262,10 @@ def add_key(figure: Figure, disc: Disc, i_dq: FloatArray | None, height: float) 
     handles: list[Line2D | Patch] = []
     if i_dq is not None:
         handles.append(Line2D([], [], color="black", linewidth=0.5, alpha=0.3, label="measured trajectory"))
+    if disc.pale is not None:
+        handles.append(Patch(facecolor="0.75", edgecolor="none", label="paler: only enclosed by samples"))
     if disc.blank.any():
         handles.append(Patch(facecolor="white", edgecolor="0.55", hatch="//////", linewidth=0.5, label="no data"))
     if handles:
         where = (0.5, height / figure.get_size_inches()[1])
-        figure.legend(handles=handles, loc="center", bbox_to_anchor=where, ncols=2, fontsize=SMALL, frameon=False)
+        figure.legend(handles=handles, loc="center", bbox_to_anchor=where, ncols=3, fontsize=SMALL, frameon=False)

@@ -45,7 +45,7 @@ def result_pictures(
     i_dq = None if figure_format == "pgf" else trajectory(samples)  # PGF in one file holds no pixels
     with rc_context(look.settings):
         figures = {
-            "flux_map": draw_flux_maps(identification.flux_map, identification.i_max, i_dq, caption, style=style),
+            "flux_map": draw_flux_maps(identification.answering, identification.i_max, i_dq, caption, style=style),
             "diagnostics": draw_diagnostics(identification, samples, style),
         }
         if look.told:

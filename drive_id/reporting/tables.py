@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 from rich.table import Table
 
-from drive_id.quantity import measured
+from drive_id.quantity import counted, measured
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
     from collections.abc import Iterable, Sequence
@@ -120,7 +120,7 @@ def _experiment(fit: Result) -> list[str]:
     """Say what is known of the experiment besides the fit."""
     known, caption = fit.provenance, fit.caption()
     link = f"{known.u_dc:g} V" if known.u_dc else ""
-    pairs = f"{known.pole_pairs} pole pairs" if known.pole_pairs else ""
+    pairs = counted(known.pole_pairs, "pole pair") if known.pole_pairs else ""
     duration = f"{known.duration:.4g} s" if known.duration else ""
     names = (known.settings.bench, known.settings.operator, known.settings.notes)
     said = (caption.date, duration, caption.speed(), pairs, link, *names)
@@ -133,7 +133,9 @@ def info_table(info: BagInfo) -> Table:
     duration = f", {info.duration:.3f} s" if info.duration else ""
     of_columns = not any(topic.encoding for topic in info.topics)
     if of_columns and info.duration and info.messages > 1:
-        duration = f", {info.messages} rows in {info.duration:.6g} s: {(info.messages - 1) / info.duration:.6g} Hz"
+        duration = (
+            f", {counted(info.messages, 'row')} in {info.duration:.6g} s: {(info.messages - 1) / info.duration:.6g} Hz"
+        )
     title = f"{info.path}: {info.storage}{compression}, {info.size / 1e6:.2f} MB{duration}"
     names = ("Column", "Rows") if of_columns else ("Topic", "Messages")
     table = plain_table(title, [names[0], "Type"], [names[1]])
@@ -171,11 +173,13 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
     duration = evidence.samples * evidence.sample_period
     seconds = sum(piece.duration for piece in found.validation)
     table = plain_table(f"{path}: written by drive_id {stored.software}", ["Quantity", "Value"])
-    table.add_row("Samples", f"{found.samples}, {duration:.3f} s, {evidence.gaps} gaps")
+    table.add_row("Samples", f"{found.samples}, {duration:.3f} s, {counted(evidence.gaps, 'gap')}")
     table.add_row("Disc", f"{evidence.i_max:.6g} A, {100 * evidence.coverage():.1f} % covered")
-    table.add_row("Flux model", f"{settings.flux_model}, {evidence.model.parameters} unknowns")
+    table.add_row("Flux model", f"{settings.flux_model}, {counted(evidence.model.parameters, 'unknown')}")
     table.add_row("Time blocks", f"{len(information.blocks)} of {information.block_duration:.4g} s")
-    table.add_row("Samples kept for simulated currents", f"{seconds:.3f} s of {len(found.validation)} recordings")
+    table.add_row(
+        "Samples kept for simulated currents", f"{seconds:.3f} s of {counted(len(found.validation), 'recording')}"
+    )
     if found.truth:
         table.add_row("Ground truth of", escape(found.truth.machine))
     for file, digest in found.digests.items():

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from drive_id.core.checks.radius import WEAK_COVERAGE
+from drive_id.core.maps.coverage import disc_coverage, enclosed
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.files.results.identification import Provenance
 from drive_id.messages import Message
@@ -17,11 +19,20 @@ USUAL = frozenset({"common_gain", "harmonics", "linear_drop", "region", "separat
 
 
 def advice(drive: IdentifiedDrive, known: Provenance) -> tuple[Message, ...]:
-    """Say what to record next: what the fit itself says, and what follows from coverage, speed and pole pairs."""
+    """Say what to record next: what the fit itself says, and what follows from coverage, speed and pole pairs.
+
+    Where a warning tells that most of the disc has no data, they are what helps most.
+    """
     found = [message for message in drive.statements if message.kind == "advice"]
-    coverage = drive.report.coverage
+    coverage, map_ = drive.report.coverage, drive.flux_map
     if coverage < _COVERED and drive.origin.fitted:  # an imported map may be of no drive
-        found.append(Message("cover_disc.share", i_max=drive.i_max, missing=1 - coverage))
+        around = disc_coverage(map_.i_d, map_.i_q, enclosed(map_.inside), drive.i_max)
+        if around - coverage > 1 - around:
+            more = Message("cover_disc.between", i_max=drive.i_max, missing=around - coverage)
+        else:
+            more = Message("cover_disc.share", i_max=drive.i_max, missing=1 - coverage)
+        found = [message for message in found if message.code != more.code]
+        found.insert(0 if coverage < WEAK_COVERAGE else len(found), more)
     if single_speed(known) and not found:
         found.append(Message("second_speed", why=drive.origin.one_speed or None))
     if known.pole_pairs is None:

@@ -20,6 +20,11 @@ _AGREEING = 4.0  # joint standard errors that the largest of some hundred differ
 _OTHER_MACHINE = 0.08
 """NRMSE beyond which no temperature explains a difference: a neodymium magnet loses 0.12 % per kelvin, so 65 K."""
 
+_OTHER_LINK = 0.005
+"""Relative difference of two DC-link voltages from which on it can be told in the fluxes."""
+_LIKE_LINK = (0.2, 0.5)
+"""Shares of that difference by which the scale of each flux linkage may be off: at least, and with large errors."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Tabled):
@@ -108,7 +113,34 @@ class Comparison(Tabled):
                 "It may be the same machine at another temperature or with other sensor gains, but the standard errors "
                 "alone do not explain the difference."
             )
+            told = self.by_link or told
         return f"{apart}. {told}"
+
+    @property
+    def by_link(self) -> str:
+        """A sentence on the DC link where its voltages differ and both flux linkages by this ratio; else empty.
+
+        Fluxes are proportional to the voltages: they scale with the link by which a drive reckons, or inversely with
+        that which it does not know.
+        """
+        one, two = self.first.u_dc, self.second.u_dc
+        if one is None or two is None or abs(ratio := math.log(one / two)) < _OTHER_LINK:
+            return ""
+        own = np.stack(self.first.drive.flux_map.psi_dq(*np.meshgrid(self.i_d, self.i_q, indexing="ij")), axis=-1)
+        own, apart, sigma = (x[self.common] for x in (own, self.difference, self.sigma))
+        power = ((own - apart) ** 2).sum(axis=0)
+        scale = np.log1p((apart * (own - apart)).sum(axis=0) / power)
+        vague = np.nan_to_num(np.abs(own - apart) * sigma).sum(axis=0) / power  # as if all erred alike
+        least, most = (share * abs(ratio) for share in _LIKE_LINK)
+        near = np.clip(2.0 * vague, least, most)
+        if not (np.abs(np.abs(scale) - abs(ratio)) <= near).all() or len({*np.sign(scale)}) != 1 or not scale.all():
+            return ""
+        told = " and ".join(f"{100 * math.expm1(value):+.2g} %" for value in scale)
+        return (
+            f"The DC link can explain it: {measured(one, unit='V')} in A and {measured(two, unit='V')} in B are "
+            f"{100 * math.expm1(ratio):+.2g} %, and ψ_d and ψ_q differ by {told}. Check with which link each drive "
+            "reckoned."
+        )
 
     @property
     def summary(self) -> str:
@@ -196,7 +228,7 @@ def compare(first: Result | str | Path, second: Result | str | Path) -> Comparis
         When all flux linkages of B are zero, or the rotor was locked for one of them only.
     """
     first, second = (x if isinstance(x, Result) else Result.load(x) for x in (first, second))
-    found, other = first.flux_map, second.flux_map
+    found, other = first.drive.flux_map, second.drive.flux_map
     grid = np.meshgrid(found.i_d, found.i_q, indexing="ij")
     psi, psi_other = (np.stack(each.psi_dq(*grid), axis=-1) for each in (found, other))
     difference = psi - psi_other

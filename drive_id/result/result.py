@@ -151,23 +151,16 @@ class Result:
 
     @property
     def flux_map(self) -> FluxMap:
-        """Flux linkages, incremental inductances and standard errors at any current."""
-        return self.drive.flux_map
+        """Flux linkages, incremental inductances and standard errors at any current that samples at least enclose."""
+        return self.drive.answering
 
     @cached_property
     def enclosed(self) -> Self:
-        """The result whose map holds also where samples only enclose the current.
-
-        The standard error, of the joint errors of the fit, tells how well the map is known there.
-        """
-        found, modes = self.flux_map, self.drive.error_modes
-        if modes is None or not (beyond := modes.known & ~found.inside).any():
+        """The result whose map counts as inside also where samples only enclose the current."""
+        found = self.flux_map
+        if found.enclosed is None:
             return self
-        sigma_d, sigma_q = (
-            np.where(beyond, np.linalg.norm(errors, axis=0), own)
-            for errors, own in ((modes.psi_d, found.sigma_d), (modes.psi_q, found.sigma_q))
-        )
-        wider = replace(found, inside=found.inside | beyond, sigma_d=sigma_d, sigma_q=sigma_q)
+        wider = replace(found, inside=found.inside | found.enclosed, enclosed=None)
         return replace(self, drive=replace(self.drive, flux_map=wider))
 
     @property
@@ -299,7 +292,7 @@ class Result:
         known = self.provenance
         told = {"machine": self.name, "method": self.method, "resistance": self.resistance, "i_max": self.i_max}
         told |= {"pole_pairs": known.pole_pairs, "date": known.date}
-        return map_dataset(self.flux_map, {name: value for name, value in told.items() if value is not None})
+        return map_dataset(self.drive.flux_map, {name: value for name, value in told.items() if value is not None})
 
     def to_pandas(self) -> pd.DataFrame:
         """Return the points of the map with data as rows: currents, A, fluxes and errors, Wb, inductances, H.

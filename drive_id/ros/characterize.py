@@ -36,6 +36,7 @@ from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.fitting.result import load
 from drive_id.nodes.support.arguments import ros_arguments
 from drive_id.nodes.support.replies import NAMES
+from drive_id.quantity import counted
 from drive_id.ros.bench import Bench, Identified
 from drive_id.ros.calls import Progress
 from drive_id.ros.comparison import comparison
@@ -197,7 +198,9 @@ def characterize(bench: Bench, options: argparse.Namespace) -> int:
     else:
         say(f"Results: {', '.join(result.output for result in results.values())}")
     if recording.dropped:
-        sys.stderr.write(f"characterize: {recording.dropped} samples were lost: see the recorder's diagnostics.\n")
+        sys.stderr.write(
+            f"characterize: lost {counted(recording.dropped, 'sample')}: see the recorder's diagnostics.\n"
+        )
     return 1 if recording.dropped else 0
 
 

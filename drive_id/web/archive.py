@@ -119,7 +119,7 @@ def row_of(result: Result) -> dict[str, Any]:
         "quantities": plain(quantities),
         "coverage": plain(result.metrics["coverage"]),
         "warnings": list(result.warnings),
-        "map": _map(result.flux_map, result.i_max),
+        "map": _map(result.drive.flux_map, result.i_max),
     }
 
 

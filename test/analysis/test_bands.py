@@ -177,7 +177,12 @@ def test_what_samples_only_enclose_is_known_by_its_error(erring):
     sigmas = {name: np.where(hole, np.nan, getattr(found, name)) for name in ("sigma_d", "sigma_q")}
     drive = replace(erring.drive, flux_map=replace(found, inside=found.inside & ~hole, **sigmas))
     holed = replace(erring, drive=drive)
-    assert np.isnan(holed.flux_map.psi_dq(0.0, 0.0)[0])
+    assert np.isnan(drive.flux_map.psi_dq(0.0, 0.0)[0])
+    assert holed.flux_map.psi_dq(0.0, 0.0) == found.psi_dq(0.0, 0.0)
+    np.testing.assert_allclose(holed.flux_map.sigma(0.5, 1.0), found.sigma(0.5, 1.0), rtol=1e-3)
+    np.testing.assert_array_equal(holed.flux_map.inductances(0.5, 1.0), found.inductances(0.5, 1.0))
+    assert not holed.flux_map.inside[hole].any(), "which tells where samples are"
+    assert np.isnan(holed.flux_map.psi_dq(9.0 * erring.i_max, 0.0)[0])
     assert erring.enclosed is erring
     model, whole = MachineModel.of(holed), MachineModel.of(erring)
     i_d, i_q = np.array([0.0, -2.0, 1.0]), np.array([0.5, 2.0, -3.0])
@@ -187,6 +192,7 @@ def test_what_samples_only_enclose_is_known_by_its_error(erring):
     np.testing.assert_array_equal(holed.to_machine().psi_q, erring.to_machine().psi_q)
     ignorant = replace(holed, drive=replace(drive, error_modes=None))
     assert not MachineModel.of(ignorant).inside(i_d, i_q).any()
+    assert np.isnan(ignorant.flux_map.psi_dq(0.0, 0.0)[0])
 
 
 def test_without_correlations_torque_bands_are_wide_and_slopes_have_none():

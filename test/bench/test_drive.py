@@ -187,7 +187,7 @@ def test_stamps_are_whole_periods():
     [
         ({"inverter": "igbt"}, "inverter is 'igbt': it must be one of none, tanh"),
         ({"speeds": ()}, "speeds is empty"),
-        ({"speeds": (1.0, 2.0), "segment_durations": (1.0,)}, "1 entries for 2 speeds"),
+        ({"speeds": (1.0, 2.0), "segment_durations": (1.0,)}, "1 entry for 2 speeds"),
         ({"voltage_delay": 2.0}, "voltage_delay is 2.0 samples"),
         ({"i_max": 0.0}, "i_max is 0 A"),
         ({"harmonics": 1.5}, "harmonics is 1.5"),
@@ -202,7 +202,7 @@ def test_impossible_profiles_are_refused():
     with pytest.raises(ConfigurationError, match=r"A speed lasts 0\.05 s, less than its ramp of 0\.1 s"):
         run(1000, speeds=(100.0, 200.0))
     settings = SimulationSettings(speeds=(100.0, 200.0))
-    with pytest.raises(ConfigurationError, match="2 speeds have no durations"):
+    with pytest.raises(ConfigurationError, match="no duration for 2 speeds"):
         Drive(build_machine(IPM, settings), settings)
 
 

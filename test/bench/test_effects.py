@@ -701,7 +701,10 @@ def test_the_truth_records_active_effects_and_what_a_fit_is_scored_against():
         ({"current_filter_order": 3}, "current_filter_order is 3: it must be at least 1 and at most 2"),
         ({"eccentricity": (0.2, 0.2, -0.2)}, "amplitudes of eccentricity sum up to more than 0.5"),
         ({"resolver_electrical_errors": (0.01,) * 9}, "resolver_electrical_errors has 9 entries: give at most 8"),
-        ({"resolver_mechanical_phases": (0.1,)}, "resolver_mechanical_phases has 1 entries for 0"),
+        (
+            {"resolver_mechanical_phases": (0.1,)},
+            "resolver_mechanical_phases has 1 entry and",
+        ),
         ({"log_decimation": 0}, "log_decimation is 0"),
         ({"current_skew": (0.0, 1e-4, 0.0)}, r"current_skew reaches 0\.0001 s, a sample period or more"),
         ({"stamp_jitter": 2e-4}, r"stamp_jitter is 0\.0002 s, at least the period of the log"),

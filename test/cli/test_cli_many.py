@@ -55,7 +55,7 @@ def test_what_an_information_file_holds(run, bag):
     }  # fmt: skip
     ran = run("info", "x.info")
     assert ran.code == 0
-    for said in ("20000, 2.000 s, 0 gaps", "300 A, ", "2.000 s of 1 recordings", "ipm", "sha256"):
+    for said in ("20000, 2.000 s, 0 gaps", "300 A, ", "2.000 s of 1 recording", "ipm", "sha256"):
         assert said in ran.out
 
 

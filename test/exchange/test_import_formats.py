@@ -287,7 +287,7 @@ BAD = {
     "ragged": ("m.csv", b"i_d,i_q,psi_d,psi_q\n1,2,3,4\n1,2,3\n", "3 columns in data row 2"),
     "headings": ("m.csv", b"Id,Iq,Fd,Fq\n1,2,3,4\n", "no column i_d (it has Id, Iq, Fd, Fq)"),
     "no headings": ("m.csv", b"1,2,3,4\n", "4 columns without headings"),
-    "one row": ("m.csv", b"i_d,i_q,psi_d,psi_q\n1,2,3,4\n", "has 1 rows"),
+    "one row": ("m.csv", b"i_d,i_q,psi_d,psi_q\n1,2,3,4\n", "has 1 row with"),
     "npz": ("m.npz", b"no zip", "not an .npz archive"),
     "mat": ("m.mat", b"no mat", "not a MATLAB file"),
     "suffix": ("m.xyz", b"", "give --format"),

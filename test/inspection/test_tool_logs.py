@@ -500,6 +500,19 @@ def test_units_in_the_names_of_columns_are_used(kind, tmp_path, samples, columns
     assert "EDIT" not in draft.text  # kV are no duty cycles
 
 
+@pytest.mark.parametrize("order", ["iaibicuaubuc", "uaubuciaibic", "iauaibubicuc", "uaiaubibucic"])
+def test_currents_and_voltages_of_one_name_are_told_by_their_values(order, tmp_path, samples, columns):
+    """Two sets of columns a, b, c, one behind the other or in turn; what follows from values is marked as not sure."""
+    names = [order[k : k + 2] for k in range(0, len(order), 2)]
+    header = ",".join(["t", *(name[1] for name in names), "theta"])
+    rows = tool_logs.table({name: columns[name] for name in ("t", *names, "theta")})
+    (tmp_path / "a.csv").write_text(f"{header}\n{rows}")
+    found, draft, _ = drafted(tmp_path / "a.csv")
+    assert_same(found, samples)
+    assert "NOT SURE" in draft.text
+    assert "by their values, not by their names" in draft.text
+
+
 def test_units_in_the_names_of_a_slow_log_are_used(tmp_path):
     path, i_dq, _ = vesc(tmp_path / "a.csv")
     text = path.read_text().split("\n", 1)

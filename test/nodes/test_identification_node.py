@@ -485,7 +485,7 @@ def test_diagnostics_tell_of_losses(ros, player, bag):
 
     def told(status, values):
         lost = [values[f"{topic}: samples lost"] for topic in TOPICS]
-        return lost == ["100"] * 3 and "are missing in 1 places" in status.message and status.level == b"\x01"
+        return lost == ["100"] * 3 and "are missing in 1 place" in status.message and status.level == b"\x01"
 
     with Diagnosis(ros) as diagnosis:
         diagnosis.wait(told, "a warning of the loss")

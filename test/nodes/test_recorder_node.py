@@ -212,7 +212,7 @@ def test_losses_and_silence_are_told(ros):
     assert recorder.start("bag").success
     recorder.wait_for_status("No message has come on /resolver yet", 1)
     bench.publish(30, lose={(7, "/resolver"), (8, "/resolver"), (20, "/phase_voltages")})
-    values = recorder.wait_for_status("200 samples of /resolver were lost in 1 places", 1)
+    values = recorder.wait_for_status("Lost 200 samples of /resolver in 1 place", 1)
     assert values["/phase_voltages: samples lost"] == "100"
     recorder.wait_for_status("No message has come on /phase_currents for", 1)
     reply = recorder.stop()
@@ -221,7 +221,7 @@ def test_losses_and_silence_are_told(ros):
     information = yaml.safe_load((recorder.data / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert information["custom_data"]["samples_lost:/resolver"] == "200"
     assert len(information["relative_file_paths"]) > 1  # split by duration
-    assert any("missing in 1 places" in text for text in read_recording(recorder.data / "bag").warnings)
+    assert any("missing in 1 place" in text for text in read_recording(recorder.data / "bag").warnings)
 
 
 @pytest.fixture

@@ -210,6 +210,22 @@ def test_areas_without_data_are_hatched_and_labelled(drive):
     assert "no data" not in texts(draw_flux_maps(full_map(drive.flux_map), drive.i_max))
 
 
+def test_what_samples_only_enclose_is_drawn_pale(drive):
+    """With its level lines, where it was hatched: the result tells values and errors there."""
+    whole = full_map(drive.flux_map)
+    inside = np.hypot(whole.i_d[:, None], whole.i_q) > 0.4 * drive.i_max
+    holed = replace(whole, inside=inside)
+    assert "no data" in texts(draw_flux_maps(holed, drive.i_max))
+    enclosed = replace(holed, enclosed=~inside)
+    disc = Disc(enclosed, drive.i_max)
+    assert not disc.blank.any()
+    assert (disc.pale[disc.radius < 0.3 * drive.i_max] < 0.5).all()
+    assert (disc.pale[(disc.radius > 0.5 * drive.i_max) & (disc.radius < drive.i_max)] >= 0.5).all()
+    figure = draw_flux_maps(enclosed, drive.i_max)
+    assert "no data" not in texts(figure)
+    assert any("paler" in text.get_text() for text in figure.legends[0].get_texts())
+
+
 def full_map(flux_map):
     return replace(flux_map, inside=np.ones_like(flux_map.inside))
 
@@ -333,7 +349,7 @@ def degenerate(drive):
     ):
         yield replace(drive, flux_map=replace(flux_map, **changes))
     yield replace(drive, flux_map=tiny(flux_map), method="psm", inverter_voltage=none, voltage_error=0.0)
-    yield replace(drive, flux_map=coarse, inverter_voltage=none, voltage_error=0.0)
+    yield replace(drive, flux_map=coarse, inverter_voltage=none, voltage_error=0.0, error_modes=None)
     yield replace(drive, i_max=1e-3, sigma_voltage_error=float("inf"), sigma_resistance=float("nan"))
     yield replace(drive, i_max=1e5)
 

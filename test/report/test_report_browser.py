@@ -166,6 +166,20 @@ def test_a_click_sets_the_probe_and_marks_it_on_every_plane(opened):
         assert opened.execute_script(mark, name) == probed
 
 
+def test_surfaces_are_named_and_seen_whole(opened):
+    """The narrower a scene, the farther its camera: labels of the axes were cut at both sides."""
+    as_surface(opened)
+    names, far, shape = opened.execute_script(
+        "const chart = document.getElementById('chart-map'); const { annotations, scene } = chart.layout; "
+        "const { x, y } = scene.domain; const { eye } = scene.camera; "
+        "return [annotations.map(({ text }) => text), Math.hypot(eye.x, eye.y), "
+        "chart.clientHeight * (y[1] - y[0]) / (chart.clientWidth * (x[1] - x[0]))]"
+    )
+    assert names == ["<b>ψ<sub>d</sub></b>", "<b>ψ<sub>q</sub></b>"]
+    assert shape > 1.2, "two beside each other are higher than wide"
+    assert far > 1.9 * shape
+
+
 def test_the_surface_has_its_axes_in_order(opened, result):
     """In plotly's own terms: a row of z is a y."""
     as_surface(opened)

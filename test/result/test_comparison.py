@@ -65,6 +65,22 @@ def test_other_grids_and_parts_of_the_plane():
         compare(drive, replace(small, drive=replace(small.drive, flux_map=elsewhere)))
 
 
+@pytest.mark.parametrize(("link", "power", "only"), [(1.02, 1, ""), (1.02, -1, ""), (0.97, 1, ""), (1.02, 1, "d")])
+def test_the_dc_link_is_named_where_both_fluxes_scale_with_it(link, power, only):
+    drive = result(1e-5)
+    m, u_dc = drive.flux_map, drive.u_dc or 400.0
+    factor = link**power
+    moved = replace(m, psi_d=m.psi_d * factor, psi_q=m.psi_q if only else m.psi_q * factor)
+    second = drive.given(u_dc=u_dc)
+    first = replace(drive, drive=replace(drive.drive, flux_map=moved)).given(u_dc=u_dc * link)
+    told = compare(first, second).verdict
+    assert ("The DC link can explain it" in told) == (not only)  # heat of the magnets moves psi_d alone
+    if not only:
+        assert f"{100 * (link - 1):+.2g} %, and ψ_d and ψ_q differ by {100 * (factor - 1):+.2g} %" in told
+    assert "DC link" not in compare(first, second.given(u_dc=first.u_dc)).verdict
+    assert "DC link" not in compare(second.given(u_dc=1.004 * u_dc), first.given(u_dc=u_dc)).verdict
+
+
 def test_what_is_unknown_is_none():
     first, second = changed(np.nan, method="imported", resistance=np.nan), result(np.nan)
     nameless = replace(second, provenance=replace(second.provenance, pole_pairs=None))

@@ -47,7 +47,7 @@ class Accumulated:
             validation=bounded([*self.validation, *other.validation]),
             warnings=(*self.warnings, *other.warnings),
             digests={**self.digests, **{_unused(file, self.digests): digest for file, digest in other.digests.items()}},
-            truth=common_truth([self.truth, other.truth]),
+            truth=common_truth([self.truth, other.truth], [*self.digests][:1] + [*other.digests][:1]),
             samples=self.samples + other.samples,
             last_stamp=max(self.last_stamp, other.last_stamp),
             unchecked=(*self.unchecked, *other.unchecked),

@@ -26,6 +26,7 @@ from drive_id.core.maps.support import Support
 from drive_id.core.numerics.normal_equations import solved
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.errors import ConfigurationError, DataError
+from drive_id.quantity import counted
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 DEGREE = 4  # of the co-energy: the inductances are continuous with their first derivatives
@@ -205,7 +206,7 @@ class _Points:
                 "Currents, fluxes or sigmas are not finite, or a sigma is not positive: leave such points out."
             )
         if len(i) < FEWEST_POINTS:
-            raise DataError(f"{len(i)} points are too few for a flux map: give at least {FEWEST_POINTS}.")
+            raise DataError(f"A flux map cannot be made of {counted(len(i), 'point')}: give at least {FEWEST_POINTS}.")
         group = np.arange(len(i))
         if mirrored:
             flip = np.array([1.0, -1.0])

@@ -32,6 +32,7 @@ from drive_id.types import BoolArray, FloatArray
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
     from drive_id.core.full.fit import EarlierFit
 
+_MOST_COEFFICIENT = 4.0  # over the largest flux, beyond which those are replaced where all of a flux are uncertain
 _WEAK_COEFFICIENT = 0.1  # standard error over the largest flux from which on a coefficient is replaced by continuation
 _FINE_COUNT = 24  # splines per axis, at least, with which polynomials are simulated
 _AT_A_TIME = 512  # points of the map, which bounds the memory of dense rows
@@ -128,8 +129,10 @@ def _extended(
         weak[spline.rows(i_dq).column] = False
         return spline, extend(spline, coefficients, weak, typical_inductances(spline, coefficients, i_dq))
     largest = np.abs(model.rows(i_dq).dot(gamma)).max()
-    uncertain = np.sqrt(np.sum(spread.gamma**2, axis=0)) > _WEAK_COEFFICIENT * largest
-    weak = (gamma == 0) | (uncertain if spread.known else False)
+    uncertain = (np.sqrt(np.sum(spread.gamma**2, axis=0)) > _WEAK_COEFFICIENT * largest) & spread.known
+    unseen, large = gamma == 0, np.abs(gamma) > _MOST_COEFFICIENT * largest
+    of_flux, rather = (np.reshape(unseen | weak, (2, -1)) for weak in (uncertain, uncertain & large))
+    weak = np.where(of_flux.all(axis=1, keepdims=True), rather, of_flux).ravel()  # something must remain to continue
     return model, extend(model, gamma, weak, typical_inductances(model, gamma, i_dq))
 
 

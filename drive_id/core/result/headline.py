@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.quantity import Quantity
@@ -106,6 +108,22 @@ def _peak_torque(drive: IdentifiedDrive, radii: Iterable[float]) -> _Local | Non
         if (best := next(filter(None, found_there), None)) is not None:
             return best if best.per_pair[0] > 0 else None
     return None
+
+
+def slopes(values: NDArray[Any], usable: BoolArray, axis: FloatArray, along: int) -> FloatArray:
+    """Return the slopes (..., D, Q) of values over an equally spaced axis, the last or (-2) the last but one.
+
+    By the polynomials of the headline, whose standard errors are calibrated: differences of neighbours smooth the short
+    waves by which joint errors tell those of slopes. NaN where no polynomial goes through usable points (D, Q) alone.
+    """
+    values, usable = np.moveaxis(values.astype(np.float64), along, -1), np.moveaxis(usable, along, -1)
+    runs, whole = (np.lib.stride_tricks.sliding_window_view(x, _NODES, axis=-1) for x in (values, usable))
+    out, several = np.full(values.shape, np.nan), runs.shape[-2]
+    for before in sorted(range(_NODES), key=lambda k: (abs(2 * k + 1 - _NODES), -k)):  # points, most evenly first
+        there = out[..., before : before + several]
+        new = np.isnan(there) & whole.all(axis=-1)
+        there[new] = (runs @ _weights(axis[:_NODES], axis[before])[1])[new]
+    return np.moveaxis(out, -1, along)
 
 
 @dataclass(frozen=True, eq=False)

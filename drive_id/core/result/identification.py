@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -29,7 +29,7 @@ class FluxMap:
 
     Between the grid points, the fluxes are the cubic (not-a-knot) spline through the stored values, so a map gives the
     same numbers before it is saved and after it is loaded. A current lies *inside* when all corners of its grid cell
-    that have a weight in bilinear interpolation are marked ``inside``.
+    that have a weight in bilinear interpolation are marked ``inside``, or ``enclosed``.
 
     Parameters
     ----------
@@ -38,10 +38,13 @@ class FluxMap:
     psi_d, psi_q : (D, Q) float
         Wb.
     sigma_d, sigma_q : (D, Q) float
-        Standard errors of psi_d and psi_q, Wb; NaN where not inside. They cover the scatter of the data, not the error
+        Standard errors of psi_d and psi_q, Wb; NaN where not known. They cover the scatter of the data, not the error
         of a model that is too simple. Infinite when the recording is too short to estimate them.
     inside : (D, Q) bool
         The data support the map here; elsewhere it is a continuation of typical slope.
+    enclosed : (D, Q) bool, optional
+        Where samples only enclose the current, and the joint errors of a fit tell how well the continuation is known:
+        there, ``sigma_d`` and ``sigma_q`` hold its standard errors, and all that is asked of the map is answered.
     """
 
     i_d: FloatArray
@@ -51,6 +54,7 @@ class FluxMap:
     sigma_d: FloatArray
     sigma_q: FloatArray
     inside: BoolArray
+    enclosed: BoolArray | None = None
 
     def __repr__(self) -> str:
         d, q = (f"{axis[0]:.4g} to {axis[-1]:.4g} A" for axis in (self.i_d, self.i_q))
@@ -75,7 +79,7 @@ class FluxMap:
             A; they broadcast against each other to shape (...). Series and DataArrays are taken as plain arrays: what
             is returned has no index; see :meth:`drive_id.Identification.to_xarray` for a map that has.
         outside : {"nan", "raise"}
-            What to return for currents without data: NaN, or a CoverageError.
+            What to return for currents that samples do not even enclose: NaN, or a CoverageError.
 
         Returns
         -------
@@ -207,7 +211,7 @@ class _Cells:
 
     corners: IntArray  # (..., 4), of the grid points, row by row
     weights: FloatArray  # (..., 4)
-    inside: BoolArray  # (...), the map has data at all corners that count
+    inside: BoolArray  # (...), the map is known at all corners that count
 
     @classmethod
     def of(cls, flux_map: FluxMap, i_dq: FloatArray) -> _Cells:
@@ -217,7 +221,8 @@ class _Cells:
         corners = np.stack([first, first + 1, first + columns, first + columns + 1], axis=-1)
         weights = np.stack([(1 - t) * (1 - s), (1 - t) * s, t * (1 - s), t * s], axis=-1)
         within = (t >= 0) & (t <= 1) & (s >= 0) & (s <= 1)  # False for NaN
-        supported = flux_map.inside.ravel()[corners] | (weights == 0)
+        known = flux_map.inside if flux_map.enclosed is None else flux_map.inside | flux_map.enclosed
+        supported = known.ravel()[corners] | (weights == 0)
         return cls(corners, weights, within & supported.all(axis=-1))
 
     def mean(self, values: FloatArray) -> FloatArray:
@@ -374,6 +379,18 @@ class IdentifiedDrive(Parameters):
     mechanics: Mechanics | None = None  # of a free shaft, by the torque of the map
     simulated: SimulatedCurrent | None = None  # where the MAD comes from; None when the result was read from files
     linear: LinearMachine | None = None  # magnet flux and inductances at zero current; method static
+
+    @cached_property
+    def answering(self) -> FluxMap:
+        """The map that answers also where samples only enclose a current, with the standard errors of the fit there."""
+        found, modes = self.flux_map, self.error_modes
+        if modes is None or not (beyond := modes.known & ~found.inside).any():
+            return found
+        sigma_d, sigma_q = (
+            np.where(beyond, np.linalg.norm(errors, axis=0), own)
+            for errors, own in ((modes.psi_d, found.sigma_d), (modes.psi_q, found.sigma_q))
+        )
+        return replace(found, sigma_d=sigma_d, sigma_q=sigma_q, enclosed=beyond)
 
     @property
     def origin(self) -> Origin:

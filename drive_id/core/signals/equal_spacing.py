@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drive_id.errors import SamplePeriodError
+from drive_id.quantity import counted
 from drive_id.types import FloatArray, IntArray
 
 _WINDOW = 128
@@ -54,7 +55,7 @@ def equal_spacing(
     restarts = np.flatnonzero(np.diff(index) < samples[:-1]) + 1
     if first is not None and len(restarts) > 0.01 * len(stamp):
         raise SamplePeriodError(
-            f"The running count of {name} runs backwards in {len(restarts)} places: name the right field as "
+            f"The running count of {name} runs backwards in {counted(len(restarts), 'place')}: name the right field as "
             "first_sample, or remove it."
         )
     step = 1e9 * period if period else _usual_step(since, count)

@@ -24,6 +24,7 @@ from drive_id.core.signals.signal import LARGEST_CUT, Signal
 from drive_id.core.signals.signal_track import MOST_HELD, SignalTrack
 from drive_id.errors import DataError, NoOverlapError, SamplePeriodError
 from drive_id.messages import Message
+from drive_id.quantity import counted
 from drive_id.types import SCALARS, FloatArray, IntArray, Samples, fixed
 
 SECTIONS = ("currents", "voltages", "resolver")
@@ -303,7 +304,7 @@ class StreamJoin:
             raise _overlap_error([(track.name, *track.range) for track in self.tracks])
         if self._early > LARGEST_CUT * self._joined:
             raise SamplePeriodError(
-                f"{self._early} samples of {clock} follow each other within half of the sample period "
+                f"On {clock}, {counted(self._early, 'sample')} came within half of the sample period "
                 f"{period_text(self._step * 1e-9)}, the first {self._first_early * 1e-9:.6f} s after its start: "
                 "correct sample_period or the stamp source in a signals file."
             )

@@ -62,14 +62,15 @@ class SeveralRecordings:
         return piece
 
 
-def common_truth(truths: Sequence[GroundTruth | None]) -> GroundTruth | None:
-    """Return the truth that all recordings carry, None where one has none.
+def common_truth(truths: Sequence[GroundTruth | None], sources: Sequence[object] = ()) -> GroundTruth | None:
+    """Return the truth that all recordings, of these names, carry; None where one has none.
 
     Raises DataError when they are simulations of different machines, whose fit together means nothing.
     """
     known = [truth for truth in truths if truth is not None]
-    machines = sorted({truth.machine for truth in known})
+    names = [f" in {source}" for source in sources] or [""] * len(truths)
+    machines = {truth.machine: name for truth, name in zip(truths, names, strict=True) if truth is not None}
     if len(machines) > 1:
-        named = ", ".join(machines)
+        named = ", ".join(f"{machine}{name}" for machine, name in sorted(machines.items()))
         raise DataError(f"The recordings are simulations of different machines ({named}): fit each by itself.")
     return known[0] if known and len(known) == len(truths) else None

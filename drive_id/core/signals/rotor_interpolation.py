@@ -8,6 +8,7 @@ import numpy as np
 
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import DataError
+from drive_id.quantity import counted
 from drive_id.types import FloatArray, IntArray
 
 _FEWEST = 4
@@ -41,7 +42,7 @@ def interpolated_rotor(rotor: Signal, clock: IntArray) -> InterpolatedRotor:
     stamp, values = stamp[kept], rotor.values[order][kept]
     if len(stamp) < _FEWEST:
         raise DataError(
-            f"{rotor.name} holds {len(stamp)} samples, too few to interpolate: record the angle throughout."
+            f"{rotor.name} holds {counted(len(stamp), 'sample')}, too few to interpolate: record the angle throughout."
         )
     time = (stamp - stamp[0]) * 1e-9
     period = float(np.median(np.diff(time)))

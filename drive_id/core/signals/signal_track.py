@@ -13,6 +13,7 @@ from drive_id.core.signals.period import Spacings, usual_period
 from drive_id.core.signals.signal import LARGEST_CUT, LATEST, Signal, finite_rows
 from drive_id.errors import DataError, EmptyTopicError, NonFiniteError, SamplePeriodError, StampOrderError
 from drive_id.messages import Message
+from drive_id.quantity import counted
 from drive_id.types import FloatArray, IntArray
 
 _SAME_PERIOD = 1e-6  # relative change of a declared period that is rounding
@@ -168,7 +169,7 @@ class SignalTrack:
             raise EmptyTopicError(f"No sample of {self.name} has arrived: start the drive, or remap the topic.")
         if self.not_finite:
             raise NonFiniteError(
-                f"{self.name} holds {self.not_finite} samples that are NaN or infinite, the first "
+                f"{self.name} holds {counted(self.not_finite, 'sample')} of NaN or infinity, the first "
                 f"{self._first_not_finite * 1e-9:.6f} s after its start: cut the recording there or repair it."
             )
         if self.fault is not None:
@@ -177,7 +178,7 @@ class SignalTrack:
         if cut > LARGEST_CUT * self.read:
             by, after = self._first_cut
             raise StampOrderError(
-                f"{cut} of {self.read} stamps of {self.name} repeat or run backwards, the first by "
+                f"{cut} of {counted(self.read, 'stamp')} of {self.name} repeat or run backwards, the first by "
                 f"{by * 1e-9:.6f} s at {after * 1e-9:.6f} s: "
                 "check the clock of the publisher, or take another stamp source in a signals file."
             )

@@ -16,6 +16,7 @@ from drive_id.core.steady.flux_bases import AffineBasis, CoEnergyBasis, FluxBasi
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.core.steady.regression import Equations, Posterior, solved
 from drive_id.errors import CoverageError, StandstillError
+from drive_id.quantity import counted
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
@@ -141,7 +142,8 @@ def fit_points(points: OperatingPoints, i_max: float, u_dc: float | None = None)
     unknowns = 1 + bases[0].free
     if moving < 2 or 2 * len(points) <= unknowns:
         raise CoverageError(
-            f"There are {len(points)} operating points at rest, {moving} of them turning, for {unknowns} unknowns: "
+            f"There are {counted(len(points), 'operating point')} at rest, {moving} of them "
+            f"turning, for {counted(unknowns, 'unknown')}: "
             "record at least 4 points with different i_d and i_q."
         )
     found = _weighed(points, bases, shapes)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from drive_id.errors import DataError, NonFiniteError
+from drive_id.quantity import counted
 from drive_id.types import FloatArray
 
 _OFF, _TURNING = 0.01, 0.1
@@ -73,8 +74,8 @@ class OperatingData:
 
     def __repr__(self) -> str:
         if self.time is None or len(self) < 2:
-            return f"<OperatingData: {len(self)} operating points>"
-        return f"<OperatingData: {len(self)} samples at {1 / self.period:.4g} Hz>"
+            return f"<OperatingData: {counted(len(self), 'operating point')}>"
+        return f"<OperatingData: {counted(len(self), 'sample')} at {1 / self.period:.4g} Hz>"
 
     @property
     def period(self) -> float:

@@ -18,6 +18,7 @@ from drive_id.analysis.machine import halved
 from drive_id.exchange.exports.axes import clean
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
+from drive_id.quantity import counted
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 TOLERANCE = 0.2
@@ -72,7 +73,8 @@ class CurrentControl:
             )
         if self.lowered:
             out.append(
-                f"At {self.lowered} points the gain is more than {100 * (1 - _TOLD):.0f} % lower than that of the "
+                f"At {counted(self.lowered, 'point')} the gain is more than {100 * (1 - _TOLD):.0f} "
+                f"% lower than that of the "
                 "inductance there, so that it is not too high between the points."
             )
         return tuple(out)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from drive_id.errors import ConfigurationError
+from drive_id.quantity import counted
 from drive_id.types import FloatArray
 
 SCALARS = ("resistance", "pole_pairs", "i_max", "u_dc")
@@ -49,7 +50,9 @@ class MapPoints:
                 f"The map has {theta.size} rotor positions for fluxes at {count}: make them match."
             )
         if len(found.i_dq) < 16:
-            raise ConfigurationError(f"The map has {len(found.i_dq)} points with data: at least 16 are needed.")
+            raise ConfigurationError(
+                f"The map has {counted(len(found.i_dq), 'point')} with data: at least 16 are needed."
+            )
         if not (np.isfinite(found.i_dq).all() and np.isfinite(found.psi_dq).all()):
             raise ConfigurationError("The map holds NaN or infinite currents or fluxes: remove these points.")
         if max(float(np.abs(found.i_dq).max()), float(np.abs(found.psi_dq).max())) > _LARGEST:

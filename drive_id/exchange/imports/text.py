@@ -13,6 +13,7 @@ from drive_id.exchange.imports.npz import known_scalars, ordered, turning_points
 from drive_id.exchange.imports.points import MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
 from drive_id.files.inputs.input_file import read_input, reason
+from drive_id.quantity import counted
 from drive_id.types import FloatArray
 
 COLUMNS = ("i_d", "i_q", "psi_d", "psi_q", "torque", "theta", "sigma_d", "sigma_q", "inside")
@@ -42,7 +43,7 @@ def read_csv(source: Source) -> MapPoints:
     if "sigma_d" in values and "sigma_q" in values:
         sigma = np.stack([values["sigma_d"], values["sigma_q"]], axis=-1)
     if len(i_dq) < 2:
-        raise ConfigurationError(f"'{source.path}' has {len(i_dq)} rows with data: a map needs more.")
+        raise ConfigurationError(f"'{source.path}' has {counted(len(i_dq), 'row')} with data: a map needs more.")
     if "theta" in values:
         turning = np.radians(source.electrical(values["theta"]))
         return turning_points(source.path, i_dq, psi_dq, turning, values.get("torque"), scalars, machine)
@@ -73,7 +74,7 @@ def _places(source: Source, heading: list[str] | None, count: int) -> dict[str, 
             raise ConfigurationError(f"'{source.path}' has no column '{given}': it has {there}.")
     missing = [name for name in _NEEDED if name not in places]
     if missing:
-        there = ", ".join(heading or [f"{count} columns without headings"])
+        there = ", ".join(heading or [f"{counted(count, 'column')} without headings"])
         raise ConfigurationError(
             f"'{source.path}' has no column {missing[0]} (it has {there}): name them, for instance "
             "--columns i_d=Id,i_q=Iq,psi_d=Fd,psi_q=Fq, or by numbers, --columns i_d=1,i_q=2,psi_d=3,psi_q=4."
@@ -87,7 +88,9 @@ def _matrices(source: Source, psi_q_file: Path) -> MapPoints:
     for path in (source.path, psi_q_file):
         lines, told = _lines(path)
         if len(lines) < 5:
-            raise ConfigurationError(f"'{path}' has {len(lines)} rows: a matrix needs axes of at least 4 currents.")
+            raise ConfigurationError(
+                f"'{path}' has {counted(len(lines), 'row')}: a matrix needs axes of at least 4 currents."
+            )
         axis, width = _split(lines[0]), len(_split(lines[1]))
         corner = ["0", *(axis if len(axis) == width - 1 else axis[1:])]
         rows = _numbers(path, [";".join(corner), *lines[1:]])
@@ -140,7 +143,9 @@ def _table(path: Path) -> tuple[list[str] | None, FloatArray, dict[str, Any]]:
             lines = lines[1:]  # units
     rows = _numbers(path, lines)
     if heading is not None and len(heading) != rows.shape[1]:
-        raise ConfigurationError(f"'{path}' has {len(heading)} headings for {rows.shape[1]} columns: make them match.")
+        raise ConfigurationError(
+            f"'{path}' has {counted(len(heading), 'heading')} for {counted(rows.shape[1], 'column')}: make them match."
+        )
     return heading, rows, told
 
 
@@ -167,7 +172,8 @@ def _numbers(path: Path, lines: list[str]) -> FloatArray:
             )
         if rows and len(values) != len(rows[0]):
             raise ConfigurationError(
-                f"'{path}' has {len(values)} columns in data row {number} where the first has {len(rows[0])}."
+                f"'{path}' has {counted(len(values), 'column')} in data row {number} where the "
+                f"first has {len(rows[0])}."
             )
         rows.append(values)
     if not rows:

@@ -15,6 +15,7 @@ from drive_id.files.inputs.input_file import open_input
 from drive_id.files.inputs.matlab import read_matlab
 from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, SlicedLog
 from drive_id.files.storage.container import UnpackBudget
+from drive_id.quantity import counted
 
 _MOST_COLUMNS = 64  # of one array that are offered as signals
 _DECODED = "MATLAB_object_decode"
@@ -203,5 +204,5 @@ def grouped(columns: dict[str, tuple[str, int]]) -> tuple[ColumnGroup, ...]:
     groups = []
     for rows in lengths:
         members = {name: kind for name, (kind, length) in columns.items() if length == rows}
-        groups.append(ColumnGroup("" if len(lengths) == 1 else f"{rows} rows", members, rows))
+        groups.append(ColumnGroup("" if len(lengths) == 1 else f"{counted(rows, 'row')}", members, rows))
     return tuple(groups)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from drive_id.errors import MessageTypeError
 from drive_id.files.logs.log_kind import UTF_16, text_stream
+from drive_id.quantity import counted
 
 WHITE = r"\s+"
 INFINITE = ("∞", "-∞", "+∞")
@@ -64,7 +65,8 @@ def csv_dialect(path: Path) -> CsvDialect:
     names, first = (len(_cells(line, ",")) for line in (*lines, "", "")[:2])
     if first > names > 1:
         raise MessageTypeError(
-            f"{path} has {first} cells below {names} names, as if commas separated columns and were decimal signs as "
+            f"{path} has {counted(first, 'cell')} below {names} names, as if commas separated "
+            f"columns and were decimal signs as "
             "well: write decimal points, or separate columns by semicolons."
         )
     raise MessageTypeError(

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.quantity import counted
 from drive_id.types import NANOSECONDS
 
 LONGEST_PERIOD = 1e4
@@ -117,7 +118,7 @@ def decode_block(data: bytes | memoryview, fields: int) -> Block:
             raise ValueError("it ends too early") from None
         position += 4
         if count * 4 > len(data) - position:
-            raise ValueError(f"it declares {count} samples, more than it holds")
+            raise ValueError(f"it declares {counted(count, 'sample')}, more than it holds")
         if count != head.samples:
             raise ValueError(f"its arrays have different lengths, {head.samples} and {count}")
         values.append(np.frombuffer(data, floats, count, position))

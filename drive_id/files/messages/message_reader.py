@@ -16,6 +16,7 @@ from drive_id.files.messages.field_path import FieldPath, FieldPathError, parse_
 from drive_id.files.messages.messages import BLOCK_FIELDS, message_typestore, schema_text
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.storage.container import RawMessage, TopicInfo
+from drive_id.quantity import counted
 from drive_id.types import IntArray
 
 DECODE_ERRORS = (
@@ -129,7 +130,7 @@ def _field_reader(decode: Callable[[bytes | memoryview], object], source: TimeSo
 
     def read(message: RawMessage) -> MessageSamples:
         if len(message.data) > _LARGEST_MESSAGE:
-            raise ValueError(f"it has {len(message.data)} bytes")
+            raise ValueError(f"it has {counted(len(message.data), 'byte')}")
         decoded = decode(message.data)
         columns = tuple([path.values(decoded) for path in values])
         sizes = {len(column) for column in columns}
@@ -137,7 +138,7 @@ def _field_reader(decode: Callable[[bytes | memoryview], object], source: TimeSo
             raise FieldPathError(f"{', '.join(paths)} have {', '.join(str(len(c)) for c in columns)} values")
         stamp = message.log_time if by_log else _time(stamp_path, decoded, source.tick)
         if not isinstance(stamp, int) and len(stamp) != len(columns[0]):
-            raise FieldPathError(f"'{source.stamp}' holds {len(stamp)} times for {len(columns[0])} samples")
+            raise FieldPathError(f"'{source.stamp}' holds {len(stamp)} times for {counted(len(columns[0]), 'sample')}")
         count = None if count_path is None else int(_one(count_path, decoded))
         declared = _one(period_path, decoded) if period_path else period
         return MessageSamples(stamp, count, None if declared is None else float(declared), columns)

@@ -15,6 +15,7 @@ from drive_id.core import frames
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.block_codec import LONGEST_PERIOD
 from drive_id.files.messages.field_path import parse_field_path
+from drive_id.quantity import counted
 from drive_id.settings import Checked, setting
 from drive_id.types import SCALARS, FloatArray
 
@@ -387,7 +388,7 @@ class ReferenceSource(TimeSource):
     def __post_init__(self) -> None:
         super().__post_init__()
         if len(self.fields) != 2:
-            raise ConfigurationError(f"fields names {len(self.fields)} currents: give the paths of d and q.")
+            raise ConfigurationError(f"fields names {counted(len(self.fields), 'current')}: give the paths of d and q.")
         for path in self.paths:
             self.check_path(path, "fields")
 

@@ -22,6 +22,7 @@ from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, Time
 from drive_id.files.read.extraction import LogSignals
 from drive_id.files.storage.container import TopicInfo
 from drive_id.messages import Message
+from drive_id.quantity import counted
 
 NO_TIME = np.iinfo(np.int64).min
 """Stamp of a row whose time is blank."""
@@ -194,13 +195,15 @@ def _piece(rows: Rows, section: _Section, stamps: NDArray[Any] | None) -> Messag
     there = ~np.all([np.isnan(column) for column in columns], axis=0)
     if stamps is not None:
         if len(stamps) != len(there):
-            raise FieldPathError(f"'{_shown(section.stamp)}' has {len(stamps)} rows, and the values {len(there)}")
+            raise FieldPathError(
+                f"'{_shown(section.stamp)}' has {counted(len(stamps), 'row')}, and the values {len(there)}"
+            )
         there &= stamps != NO_TIME
 
     def kept(column: Column) -> NDArray[Any]:
         found = np.asarray(rows.values[column])
         if len(found) != len(there):
-            raise FieldPathError(f"'{column.name}' has {len(found)} rows, and the values {len(there)}")
+            raise FieldPathError(f"'{column.name}' has {counted(len(found), 'row')}, and the values {len(there)}")
         return found if there.all() else found[there]
 
     stamp = np.zeros(int(there.sum()), np.int64) if stamps is None else stamps[there]

@@ -21,6 +21,7 @@ from drive_id.files.read.memory import MemoryGuard
 from drive_id.files.storage.bag import Bag
 from drive_id.files.storage.container import RawMessage, TopicInfo
 from drive_id.messages import Message
+from drive_id.quantity import counted
 from drive_id.types import SCALARS, FloatArray, IntArray
 
 PART_SAMPLES = 1 << 15
@@ -325,7 +326,8 @@ class SignalBuilder:
         """Return the declared period, s, of messages of up to ``largest`` samples."""
         if self.period is None:
             raise SamplePeriodError(
-                f"Messages on {self.topic} hold up to {largest} samples: give their sample_period in section "
+                f"Messages on {self.topic} hold up to {counted(largest, 'sample')}: give their "
+                f"sample_period in section "
                 f"'{self.section}' of the signals file."
             )
         if self.period * largest * 1e9 > STAMP_LIMIT:

@@ -12,6 +12,7 @@ from drive_id.errors import BagError, DriveIdError
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo, file_size
+from drive_id.quantity import counted
 
 if TYPE_CHECKING:
     from drive_id.files.logs.column_log import ColumnLog
@@ -49,7 +50,9 @@ def bag_info(path: Path) -> BagInfo:
         declared = bag.metadata.counts if bag.metadata else {}
         for name, topic in bag.topics.items():
             if not problems and topic.count is not None and declared.get(name, topic.count) != topic.count:
-                problems.append(f"metadata.yaml declares {declared[name]} messages on {name}, the files {topic.count}")
+                problems.append(
+                    f"metadata.yaml declares {counted(declared[name], 'message')} on {name}, the files {topic.count}"
+                )
         truth = None
         with suppress(BagError):
             truth = bag.attachment(TRUTH_ATTACHMENT)

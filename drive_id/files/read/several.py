@@ -103,8 +103,8 @@ class SeveralBags:
 
     @property
     def truth(self) -> GroundTruth | None:
-        """The ground truth; None unless all bags have it."""
-        return common_truth([facts.truth for _, facts in self._facts])
+        """The ground truth; None unless all bags so far have it."""
+        return common_truth([facts.truth for _, facts in self._facts], [path for path, _ in self._facts])
 
     @property
     def warnings(self) -> tuple[Message, ...]:
@@ -142,7 +142,8 @@ class SeveralBags:
     def pieces(self, what: str) -> Iterator[tuple[Piece, bool]]:
         """Yield the samples of all bags piece by piece, each with whether it is the first of a bag or of a part of one.
 
-        ``what`` is told with the progress. For the errors, see :func:`~drive_id.files.read.reader.bag_pieces`.
+        ``what`` is told with the progress. Raises DataError once the bags turn out to be of different machines; for
+        other errors, see :func:`~drive_id.files.read.reader.bag_pieces`.
         """
         self._facts, self._several = [], SeveralRecordings()
         self.samples, self._start = 0, time.monotonic()
@@ -169,6 +170,7 @@ class SeveralBags:
         for count, piece in enumerate(pieces):
             self.samples += len(piece.samples) - piece.continues
             yield self._several.placed(piece), count == 0
+        _ = self.truth  # raises before two machines in one would be told as a fault of the signals
         tell(1.0)
 
     def _tell_share(self, what: str, share: float) -> None:

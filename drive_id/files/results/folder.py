@@ -14,6 +14,7 @@ from drive_id.errors import OutputError
 from drive_id.files.inputs.input_file import open_input, read_text_input
 from drive_id.files.storage.durable import exchanged, make_folder, sync_folder, write_synced
 from drive_id.interrupts import held, note_complete
+from drive_id.quantity import counted
 
 FORMAT = "drive_id/identification"
 MARKER = "identification.json"
@@ -74,7 +75,7 @@ def check_recordings(directory: Path, inputs: Mapping[str, str], *, force: bool 
 
 def _listed(names: Sequence[str]) -> str:
     shown = ", ".join(names[:_MOST_NAMED])
-    return f"{shown} and {len(names) - _MOST_NAMED} others" if len(names) > _MOST_NAMED else shown
+    return f"{shown} and {counted(len(names) - _MOST_NAMED, 'other')}" if len(names) > _MOST_NAMED else shown
 
 
 def check_absent(path: Path) -> None:

@@ -10,7 +10,7 @@ import json
 import platform
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -61,6 +61,7 @@ _SIGMA = "sigma_voltage"
 _AMPLITUDES = ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin")
 _MOST = 1e9
 """A, Wb and V, in maps and inverter curves: no drive comes near, and squares and products of such values are finite."""
+_MAP = tuple(entry.name for entry in fields(FluxMap) if entry.default is MISSING)
 _MODES = tuple(f"modes_{entry.name}" for entry in fields(ErrorModes))
 """Arrays of the joint errors: one standard error of each of M independent causes along the first axis."""
 _LARGEST = 1 << 27  # bytes of a file of a result, a hundred times those of a fit
@@ -272,7 +273,7 @@ def _flux_map(identification: IdentifiedDrive, provenance: Provenance) -> bytes:
         "version": dict(known.versions).get("drive_id", VERSION),
         "units": json.dumps(_UNITS),
     }
-    arrays = {entry.name: getattr(identification.flux_map, entry.name) for entry in fields(FluxMap)}
+    arrays = {name: getattr(identification.flux_map, name) for name in _MAP}
     modes = identification.error_modes
     joint = {} if modes is None else {name: np.float32(getattr(modes, name[6:])) for name in _MODES}
     return npz_bytes(arrays | scalars | texts | joint)
@@ -298,8 +299,8 @@ def _curve(identification: IdentifiedDrive) -> dict[str, Any]:
 
 
 def _read_flux_map(content: bytes) -> FluxMap:
-    file = read_arrays(content, [entry.name for entry in fields(FluxMap)], largest=_LARGEST)
-    arrays = {entry.name: file[entry.name] for entry in fields(FluxMap)}
+    file = read_arrays(content, _MAP, largest=_LARGEST)
+    arrays = {name: file[name] for name in _MAP}
     if any(values.dtype.kind not in "bfiu" for values in arrays.values()):
         raise ValueError(f"{_NPZ} has arrays that are no numbers")
     shape = (len(arrays["i_d"]), len(arrays["i_q"]))

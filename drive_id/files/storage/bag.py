@@ -34,6 +34,7 @@ from drive_id.files.storage.mcap import McapStorage
 from drive_id.files.storage.metadata import BagMetadata, read_metadata
 from drive_id.files.storage.sqlite import SqliteStorage
 from drive_id.messages import Message
+from drive_id.quantity import counted
 
 _ENDINGS = tuple(kind + packed for kind in (".mcap", ".db3") for packed in ("", ".zstd", ".lz4", ".zst"))
 
@@ -68,7 +69,8 @@ class Bag:
         for topic in topics:
             if topic in declared and declared[topic] != found[topic]:
                 raise MessageCountError(
-                    f"metadata.yaml of {self.path} declares {declared[topic]} messages on {topic} but its files hold "
+                    f"metadata.yaml of {self.path} declares {counted(declared[topic], 'message')} "
+                    f"on {topic} but its files hold "
                     f"{found[topic]}: complete the folder, or rewrite metadata.yaml with 'ros2 bag reindex'."
                 )
 

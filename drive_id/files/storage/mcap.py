@@ -38,6 +38,7 @@ from drive_id.files.storage.container import (
     merged_topics,
 )
 from drive_id.messages import Message
+from drive_id.quantity import counted
 
 RECORD = struct.Struct("<BQ")
 """Opcode and length, before the content of each record."""
@@ -323,7 +324,7 @@ class McapStorage(Storage):
         for key, topic in wanted.items():
             if found[key] != declared[key]:
                 raise MessageCountError(
-                    f"{self._shown} declares {declared[key]} messages on {topic} but holds {found[key]}: "
+                    f"{self._shown} declares {counted(declared[key], 'message')} on {topic} but holds {found[key]}: "
                     "copy the file again from its origin, or rebuild it with 'drive-id recover'."
                 )
 

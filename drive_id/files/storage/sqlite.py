@@ -21,6 +21,7 @@ from drive_id.files.storage.container import (
     full_type,
     merged_topics,
 )
+from drive_id.quantity import counted
 
 _SQL_ERRORS = (sqlite3.Error, OSError, UnicodeDecodeError, OverflowError, MemoryError)
 _MOST_TOPICS = 1 << 16  # more are damage
@@ -86,7 +87,8 @@ class SqliteStorage(Storage):
         for topic in self.topics:
             if topic.name in topics and found[topic.name] != topic.count:
                 raise MessageCountError(
-                    f"{self._shown} counts {topic.count} messages on {topic.name} but yields {found[topic.name]}: "
+                    f"{self._shown} counts {counted(topic.count, 'message')} on {topic.name} but "
+                    f"yields {found[topic.name]}: "
                     "copy the file again from its origin, or rebuild its index with 'sqlite3 ... REINDEX'."
                 )
 

@@ -20,6 +20,7 @@ from drive_id.files.storage.container import MCAP_MAGIC, SQLITE_MAGIC, read_magi
 from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records
 from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, read_metadata, write_metadata
 from drive_id.files.write.rosbag2_writer import McapStream, whole_or_nothing
+from drive_id.quantity import counted
 
 _LIBRARY = "drive_id recover"
 _NUMBER = re.compile(r"_(\d+)\.mcap")
@@ -101,8 +102,8 @@ def _missing(path: Path, files: tuple[Path, ...], messages: int) -> list[str]:
         return [f"{path}: by the numbers of its files, {said} {'are' if gaps[1:] else 'is'} missing."] if gaps else []
     lost = sum(metadata.counts.values()) - messages
     names = ", ".join(name for name in metadata.files if name not in there)
-    counted = f", with {lost} messages" if lost > 0 else ""
-    return [f"{path}: {names} is missing, which metadata.yaml names{counted}."] if names else []
+    more = f", with {counted(lost, 'message')}" if lost > 0 else ""
+    return [f"{path}: {names} is missing, which metadata.yaml names{more}."] if names else []
 
 
 class _Copy:
@@ -149,7 +150,9 @@ class _Copy:
             return self._file.end
         except DamageError as damage:
             lost = self._file.size - self._file.begin
-            self.damage.append(f"{self._shown}: {damage}" + (f"; its last {lost} bytes are lost." if lost > 0 else "."))
+            self.damage.append(
+                f"{self._shown}: {damage}" + (f"; it lost its last {counted(lost, 'byte')}." if lost > 0 else ".")
+            )
         return 0
 
     def _copy_record(self, record: records.McapRecord, position: int) -> None:

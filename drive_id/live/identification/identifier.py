@@ -38,7 +38,7 @@ from drive_id.live.publishers import Publisher, of_type, publisher_findings, unc
 from drive_id.live.translator import SignalBlock
 from drive_id.live.worker import Cancelled
 from drive_id.messages import Message
-from drive_id.quantity import measured
+from drive_id.quantity import counted, measured
 from drive_id.types import SCALARS, Progress
 
 TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)
@@ -292,13 +292,13 @@ class Identifier:
         if self.live.join.tracks[0].read:
             findings += [(Level.WARN, warning) for warning in report.warnings]
         if self._unreadable:
-            sentence = f"{self._unreadable} messages could not be read, the last because: {self._last_error}"
+            sentence = f"{counted(self._unreadable, 'message')} could not be read, the last because: {self._last_error}"
             findings.append((Level.WARN, sentence))
         if evidence is None:
             sentence = "Live samples are not accumulated, for i_max is not set: set it to the disc's radius in A."
             findings.append((Level.WARN, sentence))
         findings += self._parts.findings()
-        findings.append((Level.OK, self._forgotten or f"{report.samples} live samples."))
+        findings.append((Level.OK, self._forgotten or f"{counted(report.samples, 'live sample')}."))
         return Health.of(doing, findings, values)
 
     def _signals(self) -> SignalMap:
@@ -431,6 +431,6 @@ def _sentence(identification: IdentifiedDrive) -> str:
     drop = measured(identification.voltage_error, identification.sigma_voltage_error, "V")
     drop = f", inverter drop {drop}" if identification.origin.inverter else ""
     return (
-        f"Identified by method {identification.method} from {report.samples_used} samples: resistance "
+        f"Identified by method {identification.method} from {counted(report.samples_used, 'sample')}: resistance "
         f"{resistance}{drop}, {100 * report.coverage:.0f} % of the disc covered."
     )

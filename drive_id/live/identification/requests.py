@@ -11,6 +11,7 @@ from drive_id.errors import DriveIdError
 from drive_id.health import Level, Observation
 from drive_id.live.identification.identifier import BUSY, Job, Reply, failed
 from drive_id.live.worker import Worker, step_of
+from drive_id.quantity import counted
 
 PATIENCE = 1.0
 """s that a cancelled fit has for ending by itself; then the node is free, whatever the fit is waiting for."""
@@ -161,7 +162,7 @@ class Requests:
         """Return how many cancelled fits are still running."""
         self._forget_ended()
         count = len(self._abandoned)
-        sentence = f"{count} cancelled requests still wait for a disk or for compiled code."
+        sentence = f"A disk or compiled code still holds {counted(count, 'cancelled request')}."
         return [(Level.WARN, sentence)] if count else []
 
     def end_all(self, reply: Reply) -> None:

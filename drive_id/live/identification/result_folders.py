@@ -101,14 +101,14 @@ class ResultFolders:
         return fits[:most], len(fits)
 
     def get(self, folder: str, machine: str, serial: str) -> LastMap:
-        """Return the result in a folder, or the newest one that fits, see :meth:`find`.
+        """Return the result in a folder, which has to fit, or the newest one that fits, see :meth:`find`.
 
         Raises
         ------
         ConfigurationError
             When the folder is not one of a node's results.
         ResultError
-            When there is no such result, or it is damaged.
+            When there is no such result, it is damaged, or it is that of another machine or serial number.
         """
         if folder:
             path = self._base / folder
@@ -121,6 +121,11 @@ class ResultFolders:
                 raise ResultError(f"There is no result{of} in {self._base}.")
             path = found[0].folder
         result = load(path)
+        held = {"machine": result.machine, "serial": result.provenance.settings.serial}
+        for name, asked in (("machine", machine), ("serial", serial)):
+            if asked not in {"", held[name]}:
+                there = f"is of {name} '{held[name]}'" if held[name] else f"names no {name}"
+                raise ResultError(f"The result in {path} {there}, and {name} '{asked}' was asked for.")
         return LastMap(result, path, result.last_stamp)
 
     def tidy(self) -> None:

@@ -9,6 +9,7 @@ from drive_id.health import Health, Level, Observation
 from drive_id.live.publishers import Publisher, of_type, publisher_findings, uncounted
 from drive_id.live.recording.recording_report import RecordingReport, TopicReport
 from drive_id.live.recording.recording_settings import RecordingSettings
+from drive_id.quantity import counted
 
 _SCARCE = 10.0
 """Multiple of least_free_space below which to warn of the disk."""
@@ -68,20 +69,34 @@ def _recording_findings(report: RecordingReport, queue_size: float) -> list[Obse
     findings = [(Level.WARN, report.division())] if report.changes else []
     if report.waiting > 0.5e6 * queue_size:
         samples, megabytes = sum(topic.queued for topic in report.topics), report.waiting / 1e6
-        findings.append((Level.WARN, f"The disk is too slow: {samples} samples, {megabytes:.1f} MB, wait for it."))
+        findings.append(
+            (Level.WARN, f"The disk is too slow: {counted(samples, 'sample')}, {megabytes:.1f} MB, wait for it.")
+        )
     if report.overflowed:
-        findings.append((Level.ERROR, f"The disk is too slow: {report.overflowed} samples did not fit into the queue."))
+        findings.append(
+            (Level.ERROR, f"The disk is too slow: the queue had no room for {counted(report.overflowed, 'sample')}.")
+        )
     return findings
 
 
 def _sample_findings(state: TopicState, report: TopicReport, longest_silence: float) -> list[Observation]:
     findings = []
     if report.lost:
-        findings.append((Level.WARN, f"{report.lost} samples of {state.topic} were lost in {report.losses} places."))
+        findings.append(
+            (
+                Level.WARN,
+                f"Lost {counted(report.lost, 'sample')} of {state.topic} in {counted(report.losses, 'place')}.",
+            )
+        )
     if report.uncounted:
         findings.append(uncounted(state.topic))
     if report.unreadable:
-        findings.append((Level.WARN, f"{report.unreadable} messages on {state.topic} are no blocks of samples."))
+        findings.append(
+            (
+                Level.WARN,
+                f"Received {counted(report.unreadable, 'message')} on {state.topic} without a block of samples.",
+            )
+        )
     if state.optional:
         return findings
     if not of_type(state.publishers, state.type_name):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from drive_id.files.storage.metadata import WRITTEN
 from drive_id.messages import Message
+from drive_id.quantity import counted
 from drive_id.types import NANOSECONDS
 
 
@@ -97,7 +98,7 @@ class RecordingReport:
     def sentence(self) -> str:
         """Return a sentence with the samples recorded and lost."""
         first = self.topics[0]
-        text = f"{first.written} samples of {first.topic} ({first.duration:.3f} s) are in {self.path}"
+        text = f"{self.path} holds {counted(first.written, 'sample')} of {first.topic} ({first.duration:.3f} s)"
         missing = [f"{topic.dropped} of {topic.topic}" for topic in self.topics if topic.dropped]
         lost = f"these samples were lost: {', '.join(missing)}" if missing else "no sample was lost"
         uncounted = [topic.topic for topic in self.topics if topic.uncounted]
@@ -116,8 +117,8 @@ class RecordingReport:
         """Return a sentence or two on the recordings of several drives in the bag; empty if there is one only."""
         if not self.changes:
             return ""
-        first, recordings = self.changes[0], len(self.changes) + 1
-        return f"The bag holds {recordings} recordings, the second from {first.after:.3f} s on: {first.reason}"
+        first, recordings = self.changes[0], counted(len(self.changes) + 1, "recording")
+        return f"The bag holds {recordings}, the second from {first.after:.3f} s on: {first.reason}"
 
     def custom_data(self) -> dict[str, str]:
         """Return the figures for the metadata of the bag."""

@@ -13,7 +13,7 @@ from matplotlib.patches import Circle
 from drive_id.analysis.verification import Judgement, Verification
 from drive_id.pictures.panels import PSI, add_colour_bar, levels, name_currents, place
 from drive_id.pictures.picture import rendered
-from drive_id.quantity import measured
+from drive_id.quantity import counted, measured
 from drive_id.reporting.page.html import filled
 from drive_id.result.result import Result
 
@@ -57,7 +57,8 @@ def certificate(result: Result, found: Verification, judged: Sequence[Judgement]
         "Verified": datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC"),
         "Map": f"method {result.method}, {result.date[:16].replace('T', ' ')} UTC" if result.date else result.method,
         "Recording": "; ".join(recordings),
-        "Disc": f"{100 * found.coverage:.0f} % of the disc of {result.i_max:.4g} A, {len(found.i_dq)} cells with data",
+        "Disc": f"{100 * found.coverage:.0f} % of the disc of {result.i_max:.4g} A, "
+        f"{counted(len(found.i_dq), 'cell')} with data",
         "Change of the magnet's flux": measured(100 * found.magnet[0], 100 * found.magnet[1], "%"),
         "Change of the resistance": measured(100 * found.resistance[0], 100 * found.resistance[1], "%"),
         "Change of the inverter's drop": measured(100 * found.drop[0], 100 * found.drop[1], "%"),

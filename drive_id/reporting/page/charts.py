@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import to_hex
 
+from drive_id.core.result.headline import slopes
 from drive_id.core.result.identification import FluxMap
 from drive_id.pictures.panels import COLOURS
 from drive_id.quantity import plain, scaled_unit
@@ -110,9 +111,9 @@ def _sigma_inductances(result: Result) -> FloatArray:
     found, modes = result.flux_map, result.drive.error_modes
     if modes is None:
         return np.full((*found.inside.shape, 2, 2), np.nan)
-    psi = [np.where(modes.known, x.astype(np.float64), np.nan) for x in (modes.psi_d, modes.psi_q)]
-    slopes = [[np.gradient(x, axis, axis=k) for k, axis in ((1, found.i_d), (2, found.i_q))] for x in psi]
-    return np.asarray(np.moveaxis(np.linalg.norm(slopes, axis=2), (0, 1), (-2, -1)))
+    axes = ((found.i_d, -2), (found.i_q, -1))
+    changes = [[slopes(psi, modes.known, *axis) for axis in axes] for psi in (modes.psi_d, modes.psi_q)]
+    return np.asarray(np.moveaxis(np.linalg.norm(changes, axis=2), (0, 1), (-2, -1)))
 
 
 def _torque(result: Result, found: FluxMap) -> tuple[FloatArray, FloatArray]:

@@ -59,7 +59,7 @@ def figures_of(result: Result, operation: TorqueMap | None) -> dict[str, Figure]
 def _draw_comparison(result: Result, other: ComparedMethod) -> Figure:
     """Draw the maps of another method minus those of the result."""
     figure = Figure(figsize=(WIDTH, 3.3))
-    disc = Disc(result.flux_map, result.i_max)
+    disc = Disc(result.drive.flux_map, result.i_max)
     scale, unit = scaled_unit(result.flux_map.largest, "Wb")
     for left, component, apart in zip((0.65, 4.17), "dq", map_difference(result, other), strict=True):
         axes = place(figure, left, 0.5, 2.3, 2.4)

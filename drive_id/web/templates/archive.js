@@ -43,7 +43,7 @@
       || (value(a) < value(b) ? -1 : value(a) > value(b) ? 1 : 0) * (rising ? 1 : -1);
     const none = made("tr", {}, made("td", { colspan: COLUMNS.length + 1 }, rows.length ? "No result matches the filter." : "There are no results here yet."));
     byId("body").replaceChildren(...(kept.length ? kept.sort(order).map(line) : [none]));
-    byId("count").textContent = `${kept.length} of ${rows.length} results`;
+    byId("count").textContent = `${kept.length} of ${rows.length} result${rows.length === 1 ? "" : "s"}`;
     byId("head").replaceChildren(made("th", { scope: "col" }, "Compare"), ...COLUMNS.map(([name], n) => {
       const button = made("button", { type: "button" }, ...symbol(name));
       button.addEventListener("click", () => {

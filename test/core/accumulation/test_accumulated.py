@@ -60,7 +60,7 @@ def test_two_recordings_of_one_name_are_both_kept():
 
 def test_two_machines_are_not_merged():
     one, two = accumulated("one"), accumulated("two", machine="spm")
-    with pytest.raises(DataError, match="simulations of different machines"):
+    with pytest.raises(DataError, match=r"different machines \(ipm in one.mcap, spm in two.mcap\)"):
         one.merged(two)
     assert one.merged(replace(two, truth=None)).truth is None
     assert one.merged(accumulated("three")).truth is not None

@@ -311,7 +311,7 @@ def test_a_recording_of_too_few_windows_is_refused():
 
 
 def test_conditions_are_one_for_each_recording(samples):
-    with pytest.raises(ConfigurationError, match="temperatures has 1 entries and there are more"):
+    with pytest.raises(ConfigurationError, match="temperatures has 1 entry and there are more"):
         identify([samples, samples], replace(FULL, temperatures=(20.0,)))
     with pytest.raises(ConfigurationError, match="give both for each"):
         replace(FULL, temperatures=(20.0, 30.0), u_dc=(400.0,))

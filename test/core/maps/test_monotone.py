@@ -193,7 +193,7 @@ GOOD = disc(np.random.default_rng(13), 10.0, 30)
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda i, psi: (i[:7], psi[:7]), "7 points are too few"),
+        (lambda i, psi: (i[:7], psi[:7]), "made of 7 points"),
         (lambda i, psi: (i, psi[:, ::-1] * [1, -1]), "does not rise"),
         (lambda i, psi: (i, -psi), "psi_d does not rise with i_d"),
         (lambda i, psi: (i, np.where(i > 9, np.nan, psi)), "not finite"),

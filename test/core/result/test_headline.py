@@ -11,7 +11,7 @@ import pytest
 from exact_results import exact_result
 
 from drive_id.core.maps.error_modes import ErrorModes
-from drive_id.core.result.headline import headline
+from drive_id.core.result.headline import headline, slopes
 from drive_id.types import MachineMap
 
 PSI_PM, L_D, L_Q, I_MAX, PAIRS = 0.066, 1.5e-4, 3.6e-4, 100.0, 4
@@ -42,6 +42,30 @@ def drive():
     )
     exact = exact_result(machine, sigma=FLUX_ERROR, error_modes=modes, sigma_resistance=1.1e-5).drive
     return replace(exact, flux_map=replace(exact.flux_map, inside=inside))
+
+
+def test_the_report_has_the_standard_errors_of_slopes_of_the_headline(drive):
+    """At a node and beside the edge; the joint errors hold short waves, which differences of neighbours smooth."""
+    axis = np.linspace(-110.0, 110.0, 45)
+    d, q = np.meshgrid(axis, axis, indexing="ij")
+    psi_d, psi_q = flux(d, q)
+    inside = np.hypot(d, q) <= I_MAX
+    k = 0.7 / 5.0
+    modes = replace(
+        drive.error_modes,
+        psi_d=np.float32(FLUX_ERROR * inside * np.stack([1 + np.sin(k * d + 0.4), np.cos(k * d - k * q)])),
+        psi_q=np.float32(FLUX_ERROR * inside * np.stack([1 + np.sin(k * q), np.cos(k * q + 1.0)])),
+    )
+    found = replace(drive.flux_map, i_d=axis, i_q=axis, psi_d=psi_d, psi_q=psi_q, inside=inside)
+    told = {q.name: q for q in headline(replace(drive, flux_map=found, error_modes=modes))}
+    zero = 22
+    for name, psi, along in (("L_d", modes.psi_d, -2), ("L_q", modes.psi_q, -1)):
+        sigma = np.linalg.norm(slopes(psi, inside, axis, along), axis=0)
+        assert sigma[zero, zero] == pytest.approx(told[f"{name} at zero current"].sigma, rel=1e-6)
+        assert np.isfinite(sigma[inside & (np.hypot(d, q) < 0.8 * I_MAX)]).all()
+        assert np.isnan(sigma[~inside]).all()
+        exact = np.linalg.norm(np.gradient(psi, 5.0, axis=along), axis=0)[zero, zero]
+        assert sigma[zero, zero] > 1.05 * exact
 
 
 def named(drive, **known):

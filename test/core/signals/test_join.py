@@ -178,7 +178,7 @@ def test_clocks_that_drift_apart_are_refused():
 def test_values_that_are_not_finite_are_named(value, which):
     signals = three()
     signals[which].values[250, 1] = value
-    with pytest.raises(NonFiniteError, match=rf"{signals[which].name} holds 1 samples .* 0\.025000 s"):
+    with pytest.raises(NonFiniteError, match=rf"{signals[which].name} holds 1 sample .* 0\.025000 s"):
         join(*signals)
 
 

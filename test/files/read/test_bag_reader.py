@@ -371,4 +371,4 @@ def test_losses_are_told_by_the_counter(tmp_path):
     recording = read_recording(tmp_path / "lossy")
     assert len(recording.samples) == 550
     assert recording.samples.run_starts.tolist() == [0, 50]
-    assert any("50 samples of" in text and "missing in 1 places" in text for text in recording.warnings)
+    assert any("50 samples of" in text and "missing in 1 place" in text for text in recording.warnings)

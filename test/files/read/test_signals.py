@@ -90,7 +90,7 @@ def test_units():
         ("position[0]", "p\n  mechanical: true\n  pole_pairs: 2.5", r"'pole_pairs' in f, line 7"),
         ("position[0]", "p\n  angle_unit: grad", r"angle_unit is 'grad'"),
         ("position[0]", "p\n  angle_scale: 0", r"angle_scale or speed_scale is 0"),
-        ("position[0]", "p\nreference: {topic: r, fields: [d]}", r"names 1 currents"),
+        ("position[0]", "p\nreference: {topic: r, fields: [d]}", r"names 1 current:"),
         ("position[0]", "p\ntypestore: noetic", r"typestore in f is 'noetic'"),
         ("position[0]", "p\ndefinitions: [1]", r"definitions in f must map"),
         ("  fields: [x, y, z]", "  fields: [x, y, z", r"f is not YAML in line"),

@@ -387,9 +387,7 @@ def test_samples_that_are_not_finite(tmp_path, topic, value):
         return block
 
     blocks(tmp_path / "bag", spoil)
-    refused(
-        tmp_path / "bag", NonFiniteError, rf"In .*bag: {topic} holds 1 samples that are NaN or infinite, .* 0\.0103"
-    )
+    refused(tmp_path / "bag", NonFiniteError, rf"In .*bag: {topic} holds 1 sample of NaN or infinity, .* 0\.0103")
 
 
 @pytest.mark.parametrize("topic", list(TOPICS))

@@ -232,7 +232,7 @@ def test_a_jump_of_the_resolver_is_refused_on_every_way_in(samples, tmp_path, me
         live.snapshot().conclude,
     )
     for way in ways:
-        with pytest.raises(DataError, match=r"jumps in 1 places, the first at 0\.700000 s by 2\.00 rad") as found:
+        with pytest.raises(DataError, match=r"jumps in 1 place, the first at 0\.700000 s by 2\.00 rad") as found:
             way()
         assert type(found.value) is DataError
 
@@ -294,7 +294,7 @@ def test_live_samples_are_the_first_recording_of_the_conditions():
     feed(warm, record(synthetic.reciprocal_flux, resistance=0.02, duration=2.0, noise=0.3))
     assert warm.snapshot().conclude().drive.resistance * (1 + 3.93e-3 * 80.0) == pytest.approx(0.02, rel=5e-3)
     warm.configure(replace(warm.settings, temperatures=(20.0, 30.0)))
-    with pytest.raises(ConfigurationError, match="temperatures has 2 entries for 1 recordings"):
+    with pytest.raises(ConfigurationError, match="temperatures has 2 entries for 1 recording:"):
         warm.snapshot()
 
 

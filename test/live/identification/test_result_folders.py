@@ -106,6 +106,24 @@ def test_a_note_that_is_damaged_is_no_note(tmp_path, template, text):
     assert folders(tmp_path).last() is None
 
 
+def test_a_result_is_that_of_the_machine_and_serial_that_were_asked_for(tmp_path, template):
+    """Also where its folder is named, whose name tells neither."""
+    path = add(tmp_path, template, 1)
+    marker = path / "identification.json"
+    tree = json.loads(marker.read_text())
+    marker.write_text(json.dumps(tree | {"machine": "ipm", "settings": tree["settings"] | {"serial": "0017"}}))
+    found = folders(tmp_path)
+    for asked in (("", ""), ("ipm", ""), ("", "0017"), ("ipm", "0017")):
+        assert found.get(path.name, *asked).folder == path
+    with pytest.raises(ResultError, match="is of serial '0017', and serial '0018' was asked for"):
+        found.get(path.name, "ipm", "0018")
+    with pytest.raises(ResultError, match="is of machine 'ipm', and machine 'spm' was asked for"):
+        found.get(path.name, "spm", "")
+    marker.write_text(json.dumps(tree | {"machine": ""}))
+    with pytest.raises(ResultError, match="names no serial, and serial '0017' was asked for"):
+        found.get(path.name, "", "0017")
+
+
 def test_a_last_map_that_cannot_be_read_is_told(tmp_path, template):
     found = folders(tmp_path)
     path = add(tmp_path, template, 1)
@@ -130,7 +148,7 @@ def test_results_are_found_by_folder_and_name_the_newest_first(tmp_path, templat
         marker = add(tmp_path, template, day, "locked" if day == 7 else "joint") / "identification.json"
         tree = json.loads(marker.read_text())
         tree["settings"]["serial"] = serial
-        marker.write_text(json.dumps(tree))
+        marker.write_text(json.dumps(tree | {"machine": ""}))
     found = folders(tmp_path)
     listed, total = found.find("", "", 2)
     assert ([each.folder.name[8:10] for each in listed], total) == (["07", "05"], 3)

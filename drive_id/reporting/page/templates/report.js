@@ -291,21 +291,25 @@
 
   function drawSurfaces(parts, place) {
     const { i_d, i_q, trajectory } = data.map;
+    const { clientWidth, clientHeight } = byId("chart-map");
     const turn = Number(byId("map-turn").value) * Math.PI / 180;
-    const found = layout({ margin: { l: 0, r: 0, t: 30, b: 0 } });
+    const found = layout({ margin: { l: 0, r: 0, t: 30, b: 0 }, annotations: [] });
+    const spaced = (title) => axis(title, { color: colour("text"), nticks: 5, tickfont: { size: 11 }, tickangle: 0 });
     const traces = parts.flatMap((part, n) => {
       const [scene, at] = [`scene${n ? 2 : ""}`, place(n)];
-      const bar = { ...colourBar(part.unit), x: at.x[1], y: (at.y[0] + at.y[1]) / 2, len: 0.8 * (at.y[1] - at.y[0]) };
+      const [width, height] = [clientWidth * (at.x[1] - at.x[0]), clientHeight * (at.y[1] - at.y[0])];
+      const far = 2 * Math.max(1, 0.97 * height / width); // of the camera, or a narrow scene loses its labels
+      const bar = { ...colourBar(part.unit), title: { text: part.unit, side: "top" }, x: at.x[1], y: (at.y[0] + at.y[1]) / 2, len: 0.8 * (at.y[1] - at.y[0]) };
       const surface = (z, more) => ({
         type: "surface", x: i_d, y: i_q, z, text: errors(part.z, part.sigma), name: markup(part.label), hovertemplate: tooltip(part.label, part.unit),
         colorscale: data.colours, colorbar: bar, connectgaps: false, scene, ...(part.signed ? { colorscale: "RdBu", cmid: 0 } : {}), ...more,
       });
       found[scene] = {
-        domain: at, xaxis: axis(currentAxis("d"), { color: colour("text") }), yaxis: axis(currentAxis("q"), { color: colour("text") }),
-        zaxis: axis(`${markup(part.label.split(" = ")[0])} / ${part.unit}`, { color: colour("text") }),
+        domain: at, xaxis: spaced(currentAxis("d")), yaxis: spaced(currentAxis("q")), zaxis: spaced(""),
         aspectmode: "manual", aspectratio: { x: 1, y: 1, z: 0.75 },
-        camera: { eye: { x: 2 * Math.cos(turn), y: 2 * Math.sin(turn), z: 1.05 }, center: { x: 0, y: 0, z: -0.16 } },
+        camera: { eye: { x: far * Math.cos(turn), y: far * Math.sin(turn), z: 0.52 * far }, center: { x: 0, y: 0, z: -0.1 } },
       };
+      found.annotations.push({ text: `<b>${markup(part.label)}</b>`, showarrow: false, xref: "paper", yref: "paper", x: at.x[0], y: at.y[1], xanchor: "left", yanchor: "bottom" });
       const edged = smoothEdged(part.z);
       const own = [surface(edged.z, { x: edged.x, y: edged.y, contours: { z: { show: true, color: colour("text"), width: 1 } } })];
       if (byId("map-continuation").checked) {

@@ -161,6 +161,20 @@ def by_current(flux, i_dq, step=1e-3):
 
 
 @pytest.mark.accuracy
+def test_a_winding_that_cools_by_a_hundred_kelvin_is_doubted():
+    """With one speed in each recording, maps that are not reciprocal are as if R differed."""
+
+    def turning(i_dq):
+        return bent_flux(i_dq) + 1.2e-5 * np.stack([i_dq[..., 1], 0.0 * i_dq[..., 0]], axis=-1)
+
+    recordings = [record(turning, duration=3.0, noise=0.3, speed=speed) for speed in (800.0, -480.0)]
+    found = identify(recordings, FULL)
+    (told,) = (warning for warning in found.report.warnings if warning.code == "resistance_change")
+    assert told.values["kelvin"] < -60.0
+    assert "not reciprocal" in told
+
+
+@pytest.mark.accuracy
 def test_a_decimated_log_is_told_where_the_controller_answers_at_once():
     """Its answer predicts the noise, which hid the delay (0.00 +- 0.09 samples): nothing was told."""
     quick = answering(record(bent_flux, duration=6.0, speed=500.0), gain=0.3, noise=0.3)

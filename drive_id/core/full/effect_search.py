@@ -267,16 +267,13 @@ def _about_lateness(first: EffectSearch, rules: _Rules) -> EffectSearch:
 
     About that fit, other effects would stand for what a large angle changes in second order.
     """
-    search = rules.search_about(first)
-    sets = (search.best(frozenset({name})) for name in sorted(_LATE.intersection(rules.allowed)))
-    best = min((each for each in sets if each), key=lambda each: each.score, default=None)
-    if best is None:
-        return first
-    name = next(iter(best.names))
-    if abs(float(search.subset(best.names).value(name, best.delay)[0])) * rules.noise.turn < _FAR * rules.noise.period:
-        return first
-    about = replace(first.found.columns, estimate=rules.solved(first.solver, best).estimate)
-    return settled(rules.sums, rules.variant(best), about)
+    search, states, least = rules.search_about(first), [first], _FAR * rules.noise.period / rules.noise.turn
+    for name in sorted(_LATE.intersection(rules.allowed)):
+        best = search.best(frozenset({name}))
+        if best and abs(float(search.subset(best.names).value(name, best.delay)[0])) > least:
+            about = replace(first.found.columns, estimate=rules.solved(first.solver, best).estimate)
+            states.append(settled(rules.sums, rules.variant(best), about))
+    return min(states, key=lambda state: state.solution.residual_rms)
 
 
 def _about_its_best(state: EffectSearch, first: EffectSearch, rules: _Rules) -> tuple[EffectSearch, _Set, _Search]:

@@ -36,6 +36,7 @@ class EffectColumns:
     pole_pairs: int | None  # for the mechanical angle
     ripple: float = 0.0  # frequency of a ripple of the DC link, Hz; 0 without
     winding: WindingHeat | None = None  # course of its temperature; None: it gives off no heat
+    delay: float = 0.0  # of the voltages, samples
 
     def __call__(self, windows: Windows) -> ComplexArray:
         """Return the columns (N, EFFECT_COLUMNS) of N windows."""
@@ -119,6 +120,7 @@ class EffectColumns:
             link=self.link,
             ripple=self.ripple,
             filter=max(float(self._value("current_latency")[0]), 0.0),
+            delay=self.delay,
         )
 
     def likely_pole_pairs(self, windows: Windows) -> int:

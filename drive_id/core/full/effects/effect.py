@@ -69,6 +69,7 @@ class Linearized(Ends):
     link: float  # mean DC-link voltage, V; NaN where it is not known
     ripple: float  # Hz; 0 without
     filter: float  # time constant of the currents' filter, s; 0 without
+    delay: float  # of the voltages, samples
 
     @cached_property
     def leading(self) -> ComplexArray:

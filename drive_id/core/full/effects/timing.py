@@ -10,7 +10,7 @@ import numpy as np
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported, between
 from drive_id.core.full.windows import LAGS, MOST_DELAY, SHIFTS, Windows
-from drive_id.types import FloatArray
+from drive_id.types import TINY, FloatArray
 
 _EARLIEST = 0.8
 """By which currents may be early, sample periods: the column holds below 1."""
@@ -25,16 +25,17 @@ def _late(name: str, found: Reported) -> Iterator[Calibration]:
     yield found.entry(name, x, dx, "us", scale=1e6, size=abs(x), late=x > 0)
 
 
-def _filtered(windows: Windows, time: float) -> ComplexArray:
-    """Return the difference (N,) between the ends of the voltage after a first-order lag, s, of that held before.
+def _filtered(windows: Windows, time: float, delay: float) -> ComplexArray:
+    """Return the difference (N,) between the ends of the delayed voltage after a first-order lag, s; 0: that before.
 
     Before the oldest voltage that windows keep, it turned with the rotor.
     """
-    decay = np.exp(-windows.period / time) if time > 0 else np.zeros(len(windows))
-    steps = windows.shifted[:, : SHIFTS.index(0)][:, ::-1] / windows.period[:, None]  # the latest first
-    shares = (1 - decay[:, None]) * decay[:, None] ** np.arange(steps.shape[1]) + 0j
-    shares[:, -1] /= 1 - decay * np.exp(-1j * windows.speed.mean(axis=1) * windows.period)
-    return np.asarray(np.sum(shares * steps, axis=1))
+    rate = windows.period[:, None] / max(time, TINY)
+    ago = -np.array(SHIFTS) - 1 - delay  # samples since a voltage ended
+    shares = np.exp(-rate * np.maximum(ago, 0.0)) - np.exp(-rate * np.maximum(ago + 1, 0.0)) + 0j
+    turn = np.exp(-1j * windows.speed.mean(axis=1) * windows.period)
+    shares[:, 0] /= 1 - np.exp(-rate[:, 0]) * turn
+    return np.asarray(np.sum(shares * windows.shifted, axis=1) / windows.period)
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class CurrentLatency(Latency):
         return -super().turned(at, value)  # the currents belong to an earlier angle
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return [_filtered(at.windows, at.filter) - between(at.windows.speed * at.tilt)]
+        return [_filtered(at.windows, at.filter, at.delay) - between(at.windows.speed * at.tilt)]
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,8 @@ _SAME_DELAY = 1e-3
 _CLOSE, _INDIFFERENT = 0.05, 0.5 * _PRICE
 """Relative difference of savings, or of what is left, below which two effects explain the residuals equally well: a
 misfit of the map decides between the latter."""
+_FAR = 0.03
+"""Angle, rad, by which late currents or a late angle turn the flux far enough for a linearization of their own."""
 _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
 _RIVAL = 0.3
@@ -237,7 +239,7 @@ def search_effects(
     rules = _Rules(
         sums, plain, noise, tuple(allowed), turn, not several_speeds(noise.windows.speed.mean(axis=1)), least
     )
-    state, chosen, search = _about_its_best(first, first, rules)
+    state, chosen, search = _about_its_best(_about_lateness(first, rules), first, rules)
     every = rules
     for number in count(1):
         state, chosen = _among_rivals(state, search, chosen)
@@ -258,6 +260,20 @@ def search_effects(
     extended = sums if not chosen.names and not remains(state.solver) else state.sums
     undecided = _undecided(search, chosen, max(state.solution.rows, 1.0))
     return replace(state, sums=extended, found=replace(state.found, taken=taken, delay=delay, undecided=undecided))
+
+
+def _about_lateness(first: EffectSearch, rules: _Rules) -> EffectSearch:
+    """Linearize about currents or an angle that are late, if these alone turn the flux far from the first fit.
+
+    About that fit, other effects would stand for what a large angle changes in second order.
+    """
+    search, states, least = rules.search_about(first), [first], _FAR * rules.noise.period / rules.noise.turn
+    for name in sorted(_LATE.intersection(rules.allowed)):
+        best = search.best(frozenset({name}))
+        if best and abs(float(search.subset(best.names).value(name, best.delay)[0])) > least:
+            about = replace(first.found.columns, estimate=rules.solved(first.solver, best).estimate)
+            states.append(settled(rules.sums, rules.variant(best), about))
+    return min(states, key=lambda state: state.solution.residual_rms)
 
 
 def _about_its_best(state: EffectSearch, first: EffectSearch, rules: _Rules) -> tuple[EffectSearch, _Set, _Search]:

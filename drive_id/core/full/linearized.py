@@ -90,6 +90,7 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
     They grow where an effect moves the current by so much that the linearization fails.
     """
     best: EffectSearch | None = None
+    columns = replace(columns, delay=spec.delay)
     for _ in range(_SETTLING):
         extended = (sums.changed(columns.moved) if move else sums).with_effects(columns)
         solver = Solver.over(extended)

@@ -48,7 +48,7 @@ def _layout(widths: dict[str, int]) -> dict[str, slice]:
     return {name: slice(end - width, end) for (name, width), end in zip(widths.items(), ends, strict=True)}
 
 
-EFFECTS = _layout({name: effect.width for name, effect in CATALOGUE.items()} | {"remainder": 1})
+EFFECTS = _layout({name: effect.width for name, effect in CATALOGUE.items()} | {"remainder": 2})
 """Candidate effects and their columns relative to the first one; last, their second-order remainder, which has no
 unknown."""
 

@@ -29,7 +29,7 @@ def voltage_columns(model: FullModel) -> IntArray:
 
 def delayed(delay: float) -> FloatArray:
     """Return the combination of :func:`voltage_columns` that is the integral of the delayed voltages."""
-    return np.concatenate([[1.0], -delay_shares(delay), [-1.0]])
+    return np.concatenate([[1.0], -delay_shares(delay), [-1.0, -1.0]])
 
 
 _EDGES = np.array(sorted([*SHIFTS, SHIFTS[-1] + 1, EARLIEST]))

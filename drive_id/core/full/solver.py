@@ -180,7 +180,7 @@ class Solver:
 
     def by_remainder(self, solution: FullSolution) -> FloatArray:
         """Return the change (size,) of the estimate by the remainder, see :mod:`drive_id.core.full.effects`."""
-        products = self._normal(solution.spec).t.T @ self.total[:, self.model.effect("remainder")]
+        products = self._normal(solution.spec).t.T @ self.total[:, [self.model.effect("remainder").start]]
         return np.asarray(solution.basis @ solution.gain(np.asarray(products)))[:, 0]
 
     def left_out(

@@ -116,8 +116,10 @@ class Windows:
     # (N,), smallest absolute value of a phase current within the window, 0 where one crosses zero, A
     clearance: FloatArray
     short: BoolArray  # (N,), whether the rotor turns by SHORT_ANGLE instead of WINDOW_ANGLE
-    # (N, 2), ``i_dq`` minus the measured currents, see ``EffectColumns.moved``; default: 0, A
+    # (N, 2), ``i_dq`` minus the measured currents, A, and ``angle`` minus the measured angle, rad, see
+    # ``EffectColumns.moved``; default: 0
     moved: ComplexArray | None = None
+    righted: FloatArray | None = None
     # (N, EFFECT_COLUMNS), columns of the regression that depend on a map, see :mod:`drive_id.core.full.effects`
     effects: ComplexArray | None = None
     weight: FloatArray | None = None  # (N,), of the squared residuals; default: 1
@@ -153,7 +155,7 @@ class Windows:
 
     @property
     def measured(self) -> ComplexArray:
-        """Measured currents (N, 2) in the rotor frame at [start, end], A."""
+        """Measured currents (N, 2) in the frame of ``angle`` at [start, end], A."""
         i_dq: ComplexArray = self.i_dq[..., 0] + 1j * self.i_dq[..., 1]
         return i_dq if self.moved is None else i_dq - self.moved
 
@@ -163,7 +165,7 @@ class Windows:
         return np.ones(len(self)) if self.weight is None else self.weight
 
 
-_ADDED = ("moved", "effects", "weight")
+_ADDED = ("moved", "righted", "effects", "weight")
 MEASURED = tuple(field.name for field in fields(Windows) if field.name not in _ADDED)
 """Arrays of windows that are computed from samples alone."""
 

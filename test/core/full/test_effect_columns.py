@@ -291,11 +291,12 @@ def test_the_remainder_is_what_a_late_angle_changes_in_second_order(estimate):
     close(cut(Drive().record()), column, left, OF_SECOND_ORDER)
 
 
-def test_at_moved_currents_the_columns_are_the_slopes_of_the_nonlinear_balance(estimate):
-    """Iron loss that moves the current by a tenth of its range: its balance, differentiated numerically."""
-    windows, remainder = cut(iron(LARGE_LOSS).record()), MODEL.effect("remainder").start
-    known, iron_loss = estimate.copy(), MODEL.effect("iron_loss").start
-    known[[iron_loss, remainder]] = LARGE_LOSS, 1.0
+@pytest.mark.parametrize(("name", "size"), [("iron_loss", LARGE_LOSS), ("angle_latency", 8e-4)])
+def test_at_moved_currents_the_columns_are_the_slopes_of_the_nonlinear_balance(estimate, name, size):
+    """An effect that moves the current by a tenth of its range: its balance, differentiated numerically."""
+    windows = cut(CASES[name][1](size).record())
+    known, effect = estimate.copy(), MODEL.effect(name).start
+    known[effect], known[MODEL.effect("remainder")] = size, 1.0
 
     def with_columns(some, x):
         return replace(some, effects=EffectColumns(MODEL, x, 1.0, np.nan, None)(some))
@@ -304,12 +305,12 @@ def test_at_moved_currents_the_columns_are_the_slopes_of_the_nonlinear_balance(e
         return residual(with_columns(windows, x), x)
 
     moved = EffectColumns(MODEL, known, 1.0, np.nan, None).moved(windows)
-    assert np.abs(moved.moved).max() > 0.1 * RADIUS
+    assert np.hypot(*np.moveaxis(moved.i_dq - windows.i_dq, -1, 0)).max() > 0.1 * RADIUS
     there = with_columns(moved, known)
     np.testing.assert_allclose(residual(there, known), balance(known), atol=1e-12)
     designs = design(MODEL, there), design(MODEL, with_columns(windows, known))
     middle = MODEL.map.start + MODEL.flux.parameters // 4
-    for k in (*range(middle, middle + 5), iron_loss):
+    for k in (*range(middle, middle + 5), effect):
         step = np.zeros(MODEL.size)
         step[k] = 1e-4
         slope = (balance(known + step) - balance(known - step)) / 2e-4

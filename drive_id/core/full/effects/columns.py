@@ -36,6 +36,7 @@ class EffectColumns:
     pole_pairs: int | None  # for the mechanical angle
     ripple: float = 0.0  # frequency of a ripple of the DC link, Hz; 0 without
     winding: WindingHeat | None = None  # course of its temperature; None: it gives off no heat
+    delay: float = 0.0  # of the voltages, samples
 
     def __call__(self, windows: Windows) -> ComplexArray:
         """Return the columns (N, EFFECT_COLUMNS) of N windows."""
@@ -44,26 +45,50 @@ class EffectColumns:
         for name, effect in CATALOGUE.items():
             for k, column in enumerate(effect.columns(at)):
                 out[:, EFFECTS[name].start + k] = column
-        out[:, EFFECTS["remainder"].start] = self._remainder(at)
+        out[:, EFFECTS["remainder"]] = np.stack([self._remainder(at), self._placed(at)], axis=1)
         return out
 
     def _remainder(self, at: Linearized) -> ComplexArray:
         """Return what the columns leave of the flux (N,) at the estimate, and what the current does between samples."""
         windows, i_dq = at.windows, _as_complex(at.windows.i_dq)
         remainder = between_samples(self.model, self.estimate, windows, at.psi)
-        shift, error = self._shift(at), np.zeros(i_dq.shape)
+        shift, error = self._shift(at), self._turned(at)
         for name, value in self._present():
             shift = shift + CATALOGUE[name].magnetizing(at, value)
-            error = error + CATALOGUE[name].turned(at, value)
         if shift.any() or error.any():
-            further = shift if windows.moved is None else shift - windows.moved
-            late = np.maximum(float(self._value("current_latency")[0]) * np.abs(windows.speed), 0.0)
-            ahead = np.exp(1j * error)
-            changed = self._flux((i_dq + further) * ahead.conj(), windows.angle + error)[0]
-            ripple = 0.5 * np.square(late) * (at.psi - at.through(i_dq))
-            left = at.turn * (ahead * changed - at.psi - at.through(shift) - ripple) - error * at.tilt
+            if windows.moved is not None and windows.righted is not None:
+                shift, error = shift - windows.moved, error - windows.righted
+            late = at.filter * windows.speed
+            ahead = np.exp(1j * (error + late)) / (1 + 1j * late)  # a filter lags by less, and attenuates
+            changed = self._flux((i_dq + shift) / ahead, windows.angle + error)[0]
+            left = at.turn * (ahead * changed - at.psi - at.through(shift)) - error * at.tilt
             remainder = remainder + between(left)
+        if at.filter > 0:
+            remainder = remainder + between(self._drop_by_filter(at))
         return remainder
+
+    def _drop_by_filter(self, at: Linearized) -> ComplexArray:
+        """Return the integral (N, 2), up to the ends, of the filtered drop minus the drop of the filtered currents, Vs.
+
+        A phase current i that rises by v within the time constant was i + v then. After a step, the filtered drop
+        follows e^{-t/tau}, and that of the filtered current steps when it crosses zero.
+        """
+        current = np.linspace(-2.0, 2.0, 2001) * self.model.i_max
+        drop = (self.model.shapes(current) @ self.estimate[self.model.phase_columns()]).T
+        windows, rise = at.windows, at.filter * (1j * at.windows.speed * at.currents + at.windows.slope)
+        later, out = (np.arange(64) + 0.5) / 64, np.zeros(rise.shape, np.complex128)
+        for axis, table in zip(np.exp(1j * frames.PHASE_SHIFTS), drop, strict=True):
+            i, v = ((x * at.turn * axis.conj()).real[..., None] for x in (at.currents, rise))
+            unlike = np.interp(i + v * later, current, table) - np.interp(i + v * (1 + np.log(later)), current, table)
+            out += 2 / 3 * axis * unlike.mean(axis=-1)
+        return out * at.filter * windows.drop_scale[:, None]
+
+    def _placed(self, at: Linearized) -> ComplexArray:
+        """Return minus the part (N,) of the effects' columns that is in the currents and angles of the windows."""
+        windows = at.windows
+        if windows.moved is None or windows.righted is None:
+            return np.zeros(len(windows), np.complex128)
+        return -between(at.turn * at.through(windows.moved) + windows.righted * at.tilt)
 
     def _present(self) -> list[tuple[str, FloatArray]]:
         """Return the effects that are in the estimate, with their values."""
@@ -73,7 +98,7 @@ class EffectColumns:
         turn: ComplexArray = np.exp(1j * windows.angle)
         i_s = windows.measured * turn
         induced = (windows.held - float(self.estimate[RESISTANCE]) * i_s - self._drop(i_s, windows)) / turn
-        return Ends(windows, windows.measured, turn, induced)
+        return Ends(windows, windows.measured, turn, induced, self.pole_pairs)
 
     def _at(self, windows: Windows) -> Linearized:
         ends, i_dq, through = self._ends(windows), _as_complex(windows.i_dq), self._jacobian(windows)
@@ -93,8 +118,9 @@ class EffectColumns:
             heat=heat,
             warmth=heat if self.winding is None else self.winding(windows),
             link=self.link,
-            pole_pairs=self.pole_pairs,
             ripple=self.ripple,
+            filter=max(float(self._value("current_latency")[0]), 0.0),
+            delay=self.delay,
         )
 
     def likely_pole_pairs(self, windows: Windows) -> int:
@@ -121,28 +147,46 @@ class EffectColumns:
 
     def bends(self, spec: ModelSpec, kept: Sequence[Windows]) -> bool:
         """Tell whether the effects of a variant move a current by so much that the slope of the map there differs."""
+
+        def moves(windows: Windows) -> float:
+            ends = self._ends(windows)
+            moved = ends.currents * (np.exp(-1j * self._turned(ends)) - 1) + self._shift(ends)
+            return float(np.abs(moved).max(initial=0.0))
+
         cells = self.model.resolution
         least = _BENDS * min(float(np.diff(cells.d).min()), float(np.diff(cells.q).min()))
-        return bool(spec.effects) and any(
-            float(np.abs(self._shift(self._ends(windows))).max(initial=0.0)) > least for windows in kept
-        )
+        return bool(spec.effects) and any(moves(windows) > least for windows in kept)
 
     def moved(self, windows: Windows) -> Windows:
-        """Return windows whose currents ``i_dq`` are those in the map at the estimate, where the map reaches them.
+        """Return windows whose currents and angles are those in the map at the estimate, where the map reaches them.
 
         About them the flux is linear in all unknowns to first order, so that the normal equations are those of the
         nonlinear fit even where an effect moves the current by more than the map bends over, as iron loss does in a
-        machine whose bridges saturate at small currents.
+        machine whose bridges saturate at small currents, or a late angle at several speeds.
         """
-        measured, shift = windows.measured, self._shift(self._ends(windows))
-        inside = self.model.contains(replace(windows, i_dq=frames.as_pairs(measured + shift)))
-        shift = np.where(inside[:, None], shift, 0.0)
-        return replace(windows, i_dq=frames.as_pairs(measured + shift), moved=shift, effects=None)
+        measured = windows.measured
+
+        def placed(error: FloatArray, shift: ComplexArray) -> Windows:
+            back = np.exp(-1j * error)
+            return replace(
+                windows, angle=windows.angle + error, i_dq=frames.as_pairs(measured * back + shift), moved=shift,
+                righted=error, slope=windows.slope * back, lagging=windows.lagging * back[..., None], effects=None,
+            )  # fmt: skip
+
+        error = self._turned(self._ends(windows))
+        shift = self._shift(self._ends(placed(error, np.zeros_like(measured))))
+        inside = self.model.contains(placed(error, shift))[:, None]
+        return placed(np.where(inside, error, 0.0), np.where(inside, shift, 0.0))
 
     def _shift(self, at: Ends) -> ComplexArray:
         """Return by how much the effects at the estimate move the currents (N, 2) in the map, A."""
         moving = [CATALOGUE[name].shifted(at, value) for name, value in self._present()]
         return np.asarray(sum(moving, np.zeros(at.turn.shape)), np.complex128)
+
+    def _turned(self, at: Ends) -> FloatArray:
+        """Return by how much the effects at the estimate make the measured angles (N, 2) too small, rad."""
+        turning = [CATALOGUE[name].turned(at, value) for name, value in self._present()]
+        return np.asarray(sum(turning, np.zeros(at.turn.shape)), np.float64)
 
     def voltages(self, recordings: Sequence[Samples], length: int) -> list[FloatArray]:
         """Return the phase voltages (N, 3) caused by the effects of the drive, V.

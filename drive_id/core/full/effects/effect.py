@@ -46,6 +46,12 @@ class Ends:
     currents: ComplexArray  # (N, 2), measured in the rotor frame, A
     turn: ComplexArray  # (N, 2), e^{j theta}
     induced: ComplexArray  # (N, 2), voltage e in the rotor frame, V
+    pole_pairs: int | None
+
+    def in_runs(self, waves: Sequence[FloatArray | ComplexArray]) -> list[Any]:
+        """Return waves (N,) or (N, 2) in each run, as columns of their own."""
+        runs = [self.windows.run == k for k in range(MOST_RUNS)]
+        return [wave * (run[:, None] if wave.ndim > 1 else run) for run in runs for wave in waves]
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +67,9 @@ class Linearized(Ends):
     heat: FloatArray  # (N,), relative to the largest within a recording
     warmth: FloatArray  # (N,), rise of the winding's temperature, likewise
     link: float  # mean DC-link voltage, V; NaN where it is not known
-    pole_pairs: int | None
     ripple: float  # Hz; 0 without
+    filter: float  # time constant of the currents' filter, s; 0 without
+    delay: float  # of the voltages, samples
 
     @cached_property
     def leading(self) -> ComplexArray:
@@ -72,11 +79,6 @@ class Linearized(Ends):
     def of_recordings(self) -> list[FloatArray]:
         """Tell for each recording but the first which windows are of it."""
         return [self.windows.recording == k + 1 for k in range(MOST_RECORDINGS - 1)]
-
-    def in_runs(self, waves: Sequence[FloatArray | ComplexArray]) -> list[Any]:
-        """Return waves (N,) or (N, 2) in each run, as columns of their own."""
-        runs = [self.windows.run == k for k in range(MOST_RUNS)]
-        return [wave * (run[:, None] if wave.ndim > 1 else run) for run in runs for wave in waves]
 
 
 @dataclass(frozen=True)
@@ -184,7 +186,7 @@ class DriveEffect(ABC):
         """Return the currents (N, 2) that it adds to that of the map, per unit."""
         return []
 
-    def waves(self, _: Linearized) -> list[FloatArray]:
+    def waves(self, _: Ends) -> list[FloatArray]:
         """Return the errors of the angle (N, 2) per unit."""
         return []
 
@@ -196,7 +198,7 @@ class DriveEffect(ABC):
         """Return the current (N, 2) that values (K,) of it add to that of the map, A."""
         return np.asarray(sum(shift * x for shift, x in zip(self.shifts(at), value, strict=False)), np.complex128)
 
-    def turned(self, at: Linearized, value: FloatArray) -> FloatArray:
+    def turned(self, at: Ends, value: FloatArray) -> FloatArray:
         """Return the error (N, 2) of the angle that values (K,) of it cause, rad."""
         return np.asarray(sum(wave * x for wave, x in zip(self.waves(at), value, strict=False)), np.float64)
 

@@ -12,6 +12,7 @@ from drive_id.core.full.effects.effect import (
     MOST_RUNS,
     Calibration,
     DriveEffect,
+    Ends,
     Linearized,
     Recorded,
     Reported,
@@ -34,7 +35,7 @@ class ResolverOrder(DriveEffect):
     order: int
     width = 2
 
-    def waves(self, at: Linearized) -> list[FloatArray]:  # noqa: D102
+    def waves(self, at: Ends) -> list[FloatArray]:  # noqa: D102
         return [f(self.order * at.windows.angle) for f in (np.cos, np.sin)]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
@@ -50,7 +51,7 @@ class Eccentricity(DriveEffect):
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return known.runs <= MOST_RUNS
 
-    def waves(self, at: Linearized) -> list[FloatArray]:  # noqa: D102
+    def waves(self, at: Ends) -> list[FloatArray]:  # noqa: D102
         pairs = at.pole_pairs
         return [] if pairs is None or pairs < 2 else at.in_runs(mechanical_waves(at.windows, pairs))
 
@@ -69,7 +70,7 @@ class EccentricRotor(Eccentricity):
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return [between(at.turn * at.psi * wave) for wave in super().waves(at)]
 
-    def waves(self, _: Linearized) -> list[FloatArray]:  # noqa: D102
+    def waves(self, _: Ends) -> list[FloatArray]:  # noqa: D102
         return []
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.effects.effect import Calibration, DriveEffect, Linearized, Reported, between
-from drive_id.core.full.windows import LAGS
-from drive_id.types import FloatArray
+from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported, between
+from drive_id.core.full.windows import LAGS, MOST_DELAY, SHIFTS, Windows
+from drive_id.types import TINY, FloatArray
 
-_LONGEST_LATENCY = 0.8
-"""Of angle or currents, sample periods: the columns hold below 1."""
+_EARLIEST = 0.8
+"""By which currents may be early, sample periods: the column holds below 1."""
 _MOST_TURNED = 0.25
-"""Angle, rad, by which a late angle or current may turn the flux: the columns are linear in it."""
+"""Angle, rad, by which a late angle or current may turn the flux."""
 _LARGEST_LAG = 0.2
 """Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
 
@@ -25,6 +25,19 @@ def _late(name: str, found: Reported) -> Iterator[Calibration]:
     yield found.entry(name, x, dx, "us", scale=1e6, size=abs(x), late=x > 0)
 
 
+def _filtered(windows: Windows, time: float, delay: float) -> ComplexArray:
+    """Return the difference (N,) between the ends of the delayed voltage after a first-order lag, s; 0: that before.
+
+    Before the oldest voltage that windows keep, it turned with the rotor.
+    """
+    rate = windows.period[:, None] / max(time, TINY)
+    ago = -np.array(SHIFTS) - 1 - delay  # samples since a voltage ended
+    shares = np.exp(-rate * np.maximum(ago, 0.0)) - np.exp(-rate * np.maximum(ago + 1, 0.0)) + 0j
+    turn = np.exp(-1j * windows.speed.mean(axis=1) * windows.period)
+    shares[:, 0] /= 1 - np.exp(-rate[:, 0]) * turn
+    return np.asarray(np.sum(shares * windows.shifted, axis=1) / windows.period)
+
+
 @dataclass(frozen=True)
 class Latency(DriveEffect):
     """The angle is late: ``[omega e^{j theta} (j f - f'(i) j i)]`` times the time."""
@@ -32,9 +45,9 @@ class Latency(DriveEffect):
     turns, late, rotates = True, True, True
 
     def plausible(self, value: float, turn: float, period: float) -> bool:  # noqa: D102
-        return abs(value) < min(_LONGEST_LATENCY, _MOST_TURNED / turn) * period
+        return abs(value) < min(MOST_DELAY, _MOST_TURNED / turn) * period
 
-    def turned(self, at: Linearized, value: FloatArray) -> FloatArray:  # noqa: D102
+    def turned(self, at: Ends, value: FloatArray) -> FloatArray:  # noqa: D102
         return np.asarray(value[0] * at.windows.speed)
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
@@ -46,13 +59,19 @@ class Latency(DriveEffect):
 
 @dataclass(frozen=True)
 class CurrentLatency(Latency):
-    """The currents are late or filtered: ``[u_s - omega e^{j theta} (j f - f'(i) j i)]`` times the time."""
+    """The currents are filtered or early: ``[u_f - omega e^{j theta} (j f - f'(i) j i)]`` times the time.
 
-    def turned(self, at: Linearized, value: FloatArray) -> FloatArray:  # noqa: D102
+    A filter with H = 1 / (1 + j omega tau) gives the currents H i and the flux H f(i), and u_f is the voltage after it.
+    """
+
+    def plausible(self, value: float, turn: float, period: float) -> bool:  # noqa: D102
+        return value > -_EARLIEST * period and super().plausible(value, turn, period)
+
+    def turned(self, at: Ends, value: FloatArray) -> FloatArray:  # noqa: D102
         return -super().turned(at, value)  # the currents belong to an earlier angle
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return [between(at.windows.held - at.windows.speed * at.tilt)]  # with the ripple of a held voltage
+        return [_filtered(at.windows, at.filter, at.delay) - between(at.windows.speed * at.tilt)]
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import synthetic
 from column_files import write_csv, write_mdf, write_parquet
 from drive_bags import renamed
 from foreign_rows import write_rows
 from scipy.io import savemat
-from synthetic import reciprocal_flux, record
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
@@ -312,7 +312,9 @@ def test_duty_cycles_with_and_without_a_dc_link(tmp_path, samples):
 def test_an_offset_that_the_saliency_alone_shows_is_a_guess(tmp_path):
     """Without a magnet, a draft may exchange d and q, which a fit cannot see."""
     for magnet, guessed in ((0.0, True), (0.08, False)):
-        made = record(lambda i_dq, m=magnet: reciprocal_flux(i_dq) - [0.08 - m, 0.0], duration=1.5, noise=0.1)
+        made = synthetic.record(
+            lambda i_dq, m=magnet: synthetic.reciprocal_flux(i_dq) - [0.08 - m, 0.0], duration=1.5, noise=0.1
+        )
         made = replace(made, i_dq_reference=frames.to_dq(made.i_abc, made.angle))
         path = write_csv(tmp_path / "log.csv", columns(made))
         draft = check(path).draft

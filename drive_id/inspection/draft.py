@@ -272,6 +272,8 @@ class _DraftText:
                 "(1.5708), which exchanges or reverses the axes: compare with the d axis of your drive."
             )
         said = "estimated; method full corrects the rest" if offset else "no offset was found"
+        if not reading.certain_offset:
+            said = f"EDIT: rad; {said}, up to multiples of 1.5708"
         return [f"  angle_offset: {offset:.4g}          # {said}"]
 
     def _speed(self) -> list[str]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import synthetic
 from column_files import write_csv, write_mdf, write_parquet
 from drive_bags import renamed
 from foreign_rows import write_rows
@@ -306,6 +307,20 @@ def test_duty_cycles_with_and_without_a_dc_link(tmp_path, samples):
     found = recording.samples
     part = found.u_abc - found.u_abc.mean(axis=1, keepdims=True)
     assert np.abs(frames.space_vector(part) / frames.space_vector(samples.u_abc) - 400 / u_dc).max() < 1e-6
+
+
+def test_an_offset_that_the_saliency_alone_shows_is_a_guess(tmp_path):
+    """Without a magnet, a draft may exchange d and q, which a fit cannot see."""
+    for magnet, guessed in ((0.0, True), (0.08, False)):
+        made = synthetic.record(
+            lambda i_dq, m=magnet: synthetic.reciprocal_flux(i_dq) - [0.08 - m, 0.0], duration=1.5, noise=0.1
+        )
+        made = replace(made, i_dq_reference=frames.to_dq(made.i_abc, made.angle))
+        path = write_csv(tmp_path / "log.csv", columns(made))
+        draft = check(path).draft
+        found = read_recording(path, parse_signals(draft.text, "draft")).warnings
+        assert [message.values["setting"] for message in found] == ["angle_offset: 0"] * guessed
+        assert not read_recording(path, parse_signals(draft.text.replace("# EDIT", "#"), "edited")).warnings
 
 
 def test_a_foreign_bag_of_several_topics_with_jitter(tmp_path, samples):

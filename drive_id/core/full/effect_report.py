@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -37,6 +38,8 @@ OUTLYING = 20.0
 """Residuals of one batch, squared, relative to the median, from which on an event in time is told."""
 _ALIKE = 0.5
 """Share of the best explanation above which another one is named, too."""
+_CERTAIN = 3.0
+"""Standard errors from which on the sign of a change is certain."""
 _MOST_NAMED = 2
 """Most explanations named: a longer list helps nobody."""
 
@@ -139,11 +142,39 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             drop=drop,
             pole_pairs=columns.pole_pairs,
             link=columns.link,
+            links=_links(fit),
             ripple=columns.ripple,
             time_constant=np.inf if columns.winding is None else columns.winding.constant,
         )
         out += CATALOGUE[taken.name].report(reported)
+    return _doubted_heat(out)
+
+
+def _doubted_heat(entries: list[Calibration]) -> list[Calibration]:
+    """Doubt each change of the magnet's flux that has the sign of that of R beside it: heat moves them apart."""
+    out, found = [], {entry.name: entry for entry in entries}
+    for entry in entries:
+        number = entry.name.removeprefix("magnet_flux_change")
+        copper = found.get(f"resistance_change{number}" if number else "resistance_rise")
+        if copper is None or number == entry.name:
+            out.append(entry)
+            continue
+        certain = all(abs(each.value) > _CERTAIN * each.sigma for each in (entry, copper))
+        told = Message("magnet_flux_change.doubted", **entry.message.values, kelvin=copper.message.values["kelvin"])
+        opposed = certain and entry.value * copper.value > 0
+        out.append(replace(entry, doubtful=True, message=told) if opposed else entry)
     return out
+
+
+def _links(fit: FullFit) -> tuple[float, float]:
+    """Return the lowest and the highest mean of the DC-link voltage in a recording, V; NaN where it is not known."""
+    windows = Windows.joined(fit.selection.search.sums.kept())
+    known = np.isfinite(windows.link)
+    recording, voltage = windows.recording[known], windows.voltage[known]
+    products = (voltage.conj() * windows.link[known]).real
+    weights = np.bincount(recording, np.abs(voltage) ** 2)
+    means = np.bincount(recording, products)[weights > 0] / weights[weights > 0]
+    return (float(means.min()), float(means.max())) if len(means) else (np.nan, np.nan)
 
 
 def _sigma_of(changes: FloatArray, forms: FloatArray) -> FloatArray:

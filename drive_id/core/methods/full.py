@@ -54,7 +54,7 @@ _LARGE_SHARE = 0.01
 """Of R, by which the shape of a wide inverter curve changes R."""
 _LARGE_OFFSET = 0.005  # of a current sensor, in i_max, for a warning
 _LARGE_MISMATCH = 0.01  # of gains, for a warning
-_LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, remedy="passive_maps", impossible=True)
+_LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, reversed=0.005, remedy="passive_maps", impossible=True)
 _FEW_COVERED = 0.5  # share of the disc with data below which more of it helps most
 _WHOLE_DISC = 0.02  # share of the disc without data up to which it is whole
 _INNER = 0.9  # of its radius, where the disc has no hole if it is whole: at the rim, noise makes some

@@ -25,6 +25,7 @@ class Limits(NamedTuple):
     unexplained: float  # share of the voltage that the model leaves
     refused: float  # the same, beyond which there is no map
     mad: float  # mean absolute deviation of the simulated current over i_max
+    reversed: float  # flux of the magnet against the d axis over the largest flux, which the method cannot err by
     remedy: str | None = None
     impossible: bool = False  # whether results that no machine can have are refused
 

@@ -42,7 +42,7 @@ _LARGE_NOISE = 0.1  # energy that noise adds to the differences of functions, ov
 _LARGE_ASYMMETRY = 0.1  # over the largest flux
 _FEW_BLOCKS = 8  # of which none stands out
 _OUTLYING_BLOCK = 10.0  # energy of the residuals of a block that stands out, over the median
-_LIMITS = Limits(unexplained=0.6, refused=0.8, mad=np.inf)  # noise leaves up to half of it per sample
+_LIMITS = Limits(unexplained=0.6, refused=0.8, mad=np.inf, reversed=0.1)  # noise leaves up to half of it per sample
 
 
 @dataclass(frozen=True)

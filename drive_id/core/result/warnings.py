@@ -13,7 +13,8 @@ from drive_id.core.result.identification import FluxMap
 from drive_id.messages import Message
 from drive_id.types import FloatArray
 
-_REVERSED = 0.1  # magnet flux against the d axis, over the largest flux
+_REVERSED = 4.0
+"""Standard errors below zero at which the magnet's flux is negative: machines without magnets show up to 1.1."""
 _FEW_POINTS = 0.005  # share of the map's points whose inductances may be indefinite
 _IMPOSSIBLE = 3.0
 """Standard errors below zero at which a resistance is impossible: by chance one fit in 700 of a machine without any."""
@@ -117,11 +118,11 @@ def _on_map(evidence: Evidence, estimate: Estimate, flux_map: FluxMap, limits: L
         d, q = i_dq[active].mean(axis=0)
         points = int(active.sum())
         yield Message("indefinite_inductances", points=points, of=len(i_dq), i_d=d, i_q=q, remedy=limits.remedy)
-    psi = flux_map.bilinear(i_dq)
-    magnet = psi[np.hypot(*i_dq.T).argmin(), 0]
+    nearest = i_dq[np.hypot(*i_dq.T).argmin()]
+    magnet, sigma = (float(flux_map.sampled(x, *nearest)) for x in (flux_map.psi_d, flux_map.sigma_d))
     offset = any(finding.code == "angle_offset" for finding in evidence.findings)
-    if not offset and magnet < -_REVERSED * np.abs(psi).max():
-        yield Message("magnet_negative", flux=magnet)
+    if not offset and magnet < -max(_REVERSED * sigma, limits.reversed * np.abs(flux_map.bilinear(i_dq)).max()):
+        yield Message("magnet_negative", flux=magnet, sigma=sigma)
 
 
 def _on_simulation(evidence: Evidence, mad: tuple[float, float], limits: Limits) -> Iterator[Message]:

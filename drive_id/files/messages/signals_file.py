@@ -42,8 +42,10 @@ _MOST_ENTRIES = 10_000  # aliases followed
 DEFAULTS = "defaults"
 """Section with what all others share: topic or group, stamps and sample period."""
 _TIME = tuple(item.name for item in fields(TimeSource))
-_GUESS = re.compile(r"^[ \t]*(sample_period|scale|pole_pairs):[ \t]*([^#\s]+)[ \t]*#[ \t]*EDIT", re.MULTILINE)
-"""A setting to which the result is proportional, with the mark by which a draft says that it is a guess."""
+_GUESS = re.compile(
+    r"^[ \t]*(sample_period|scale|pole_pairs|angle_offset):[ \t]*([^#\s]+)[ \t]*#[ \t]*EDIT", re.MULTILINE
+)
+"""A setting on which the whole result depends, with the mark by which a draft says that it is a guess."""
 _NESTED: dict[type, tuple[str, ...]] = {
     PhaseSource: ("scale",),
     RotorSource: ("speed",),

@@ -43,10 +43,11 @@ _AHEAD = 2
 _BEAT = 0.2
 """Seconds after which the progress is told again while a part is awaited: a bar that moves less often seems stuck."""
 
-_PROPORTIONAL = {
+_FOLLOWS = {
     "sample_period": "flux linkages and inductances are proportional to it",
     "scale": "R and all fluxes are proportional to it",
     "pole_pairs": "the fluxes are inversely proportional to it",
+    "angle_offset": "if it is wrong by a multiple of 90 degrees, the map's axes are exchanged or reversed",
 }
 """What depends on a setting that was guessed."""
 
@@ -115,7 +116,7 @@ def bag_pieces(
 def guesses(signals: SignalMap) -> Iterator[Message]:
     """Yield the settings of a signals file that its draft guessed and nobody confirmed."""
     for setting in signals.guessed:
-        yield Message("guessed_setting", setting=setting, what=_PROPORTIONAL[setting.partition(":")[0]])
+        yield Message("guessed_setting", setting=setting, what=_FOLLOWS[setting.partition(":")[0]])
 
 
 @contextmanager

@@ -68,6 +68,15 @@ def test_an_angle_near_half_a_turn_off_makes_the_magnet_negative(good, monkeypat
     assert "resistance is negative" in told(replace(good, i_abc=-good.i_abc))
 
 
+def test_a_weak_magnet_half_a_turn_off_is_told(monkeypatch):
+    """5 mWb of 130, where the checks say nothing; a machine without a magnet is told nothing."""
+    monkeypatch.setattr(Prescan, "findings", lambda *_: ())
+    for magnet, angle, negative in ((0.005, np.pi, True), (0.005, 0.0, False), (0.0, 0.0, False)):
+        samples = record(lambda i_dq, m=magnet: reciprocal_flux(i_dq) - [0.08 - m, 0.0], duration=3.0, noise=0.1)
+        result = identify([replace(samples, angle=samples.angle + angle)], FULL)
+        assert ("magnet_negative" in [said.code for said in result.report.warnings]) == negative
+
+
 def test_wrong_signs_and_orders_are_refused(good):
     swapped = replace(good, i_abc=good.i_abc[:, [0, 2, 1]])
     for said, samples in (

@@ -58,9 +58,10 @@ class CopperRecordings(DriveEffect):
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for k, (x, dx) in enumerate(zip(found.value, found.sigma, strict=True)):
             if found.met(k):
-                name, told, key = f"resistance_change_{k + 2}", _relative(found, x), "resistance_change"
+                name, told = f"resistance_change_{k + 2}", _relative(found, x)
                 usual = _MOST_COOLED < told["kelvin"] < _MOST_WARMED
-                entry = found.entry(name, x, dx, "ohm", key if usual else "resistance_change.odd", recording=k + 2, **told)
+                key = "resistance_change" if usual else "resistance_change.odd"
+                entry = found.entry(name, x, dx, "ohm", key, recording=k + 2, **told)
                 yield entry if usual else replace(entry, doubtful=True)
 
 

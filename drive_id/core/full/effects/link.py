@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,11 @@ from drive_id.types import FloatArray
 
 _SMALL = 1e-4
 """Angle, rad, that stands for smaller ones, by which nothing may be divided: both moments are then exact to 1e-4."""
+_MISSED, _CERTAIN = 0.05, 3.0
+"""Share of the variation that noise of the log may hide or feign: of variations of 1 %, 0.05 % of the voltage; and
+standard errors from which on it is certain."""
+_LEVELS = 0.005
+"""Relative difference of the link's means from which on their reference matters: five times what maps are off by."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +34,18 @@ class DcLink(DriveEffect):
         return [-np.nan_to_num(at.windows.link / at.link - at.windows.voltage)] if np.isfinite(at.link) else []
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield found.entry("dc_link_share", found.value[0], found.sigma[0], "1", mean=found.link)
+        share, sigma = found.value[0], found.sigma[0]
+        (low, high), far = found.links, max(_MISSED, _CERTAIN * sigma)
+        key, told = "", {}
+        if not -far < share < 1 + far:
+            key = "dc_link_share.impossible"
+        elif far < share < 1 - far:
+            key = "dc_link_share.partial"
+        elif share > 0.5 and high > (1 + _LEVELS) * low:
+            key, told = "dc_link_share.levels", {"low": low, "high": high}
+            told |= {"rise": found.link / low - 1, "fall": found.link / high - 1}
+        entry = found.entry("dc_link_share", share, sigma, "1", key, mean=found.link, **told)
+        yield replace(entry, doubtful=True) if key else entry
 
 
 @dataclass(frozen=True)

@@ -59,8 +59,10 @@ class EffectColumns:
             if windows.moved is not None and windows.righted is not None:
                 shift, error = shift - windows.moved, error - windows.righted
             late = at.filter * windows.speed
-            ahead = np.exp(1j * (error + late)) / (1 + 1j * late)  # a filter lags by less, and attenuates
-            changed = self._flux((i_dq + shift) / ahead, windows.angle + error)[0]
+            passed = 1 / (1 + 1j * late)  # by the filter
+            ahead, moving = np.exp(1j * (error + late)) * passed, at.filter * windows.slope * passed
+            changed = self._flux((i_dq + shift) / ahead, windows.angle + error, late)[0]
+            changed = changed + at.through(moving) - at.through(moving / passed) * passed
             left = at.turn * (ahead * changed - at.psi - at.through(shift)) - error * at.tilt
             remainder = remainder + between(left)
         if at.filter > 0:
@@ -214,16 +216,27 @@ class EffectColumns:
             out.append(frames.phases(voltage))
         return out
 
-    def _flux(self, i_dq: ComplexArray, at: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return f(i, theta) and its derivative by theta (N, 2), Wb, at currents, A, and angles (N, 2), rad."""
+    def _flux(
+        self, i_dq: ComplexArray, at: FloatArray, late: FloatArray | float = 0.0
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """Return f(i, theta) and its derivative by theta (N, 2), Wb, at currents, A, and angles (N, 2), rad.
+
+        A filter by which the mean flux is ``late``, rad, passes less of harmonics, and delays them by less.
+        """
+
+        def passed(order: int) -> ComplexArray:
+            return np.asarray(np.exp(1j * order * late) * (1 + 1j * late) / (1 + 1j * (1 + order) * late))
+
         psi, by_angle = self._mean_flux(i_dq), np.zeros_like(i_dq)
         harmonic = self.model.harmonic.rows(frames.as_pairs(i_dq.ravel()))
         for order, columns in self.model.harmonics.items():
             halves = np.split(self.estimate[columns], 2)
             if self.estimate[columns].any():
                 a, b = ((harmonic.dot(half) @ np.array([1.0, 1j])).reshape(at.shape) for half in halves)
-                cosine, sine = np.cos(order * at), np.sin(order * at)
-                psi, by_angle = psi + a * cosine + b * sine, by_angle + order * (b * cosine - a * sine)
+                wave = np.exp(1j * order * at)
+                fore, back = 0.5 * (a - 1j * b) * wave, 0.5 * (a + 1j * b) * wave.conj()
+                psi = psi + fore * passed(order) + back * passed(-order)
+                by_angle = by_angle + 1j * order * (fore - back)
         return psi, by_angle
 
     def _mean_flux(self, i_dq: ComplexArray) -> ComplexArray:

@@ -89,8 +89,12 @@ CASES = {
     "hysteresis of constant coercivity": Case(({"iron_hysteresis": 3.0},), {"iron_loss_current": 3.0}),
     "late angle": Case((BOTH_WAYS | {"resolver_latency": 3e-5},), {"angle_latency": 30.0}),
     "current filter": Case((BOTH_WAYS | {"current_filter": 5000.0},), {"current_latency": 1e6 / (2 * np.pi * 5000.0)}),
-    "angle late by a sample": Case((FAST_TURNING | {"resolver_latency": 1e-4},), {"angle_latency": 100.0}, tolerance=0.01),
-    "angle late by more": Case((FAST_TURNING | {"resolver_latency": 1.5e-4},), {"angle_latency": 150.0}, tolerance=0.01),
+    "angle late by a sample": Case(
+        (FAST_TURNING | {"resolver_latency": 1e-4},), {"angle_latency": 100.0}, tolerance=0.01
+    ),
+    "angle late by more": Case(
+        (FAST_TURNING | {"resolver_latency": 1.5e-4},), {"angle_latency": 150.0}, tolerance=0.01
+    ),
     "slow current filter": Case(
         (BOTH_WAYS | {"current_filter": 1061.0},), {"current_latency": 1e6 / (2 * np.pi * 1061.0)}, tolerance=0.01
     ),

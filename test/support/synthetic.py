@@ -49,15 +49,16 @@ def record(
     i_max: float = 300.0,
     noise: float = 0.0,
     seed: int = 0,
+    current: Callable[[FloatArray, float], FloatArray] = spline_free_current,
 ) -> Samples:
     count = round(duration / period)
     t = np.arange(count + 1) * period
     nodes, gauss = np.polynomial.legendre.leggauss(5)
 
     def stator_current(at: FloatArray) -> FloatArray:
-        return frames.to_abc(spline_free_current(at, i_max), speed * at)
+        return frames.to_abc(current(at, i_max), speed * at)
 
-    psi_dq = flux(spline_free_current(t, i_max))
+    psi_dq = flux(current(t, i_max))
     psi_s = (psi_dq[:, 0] + 1j * psi_dq[:, 1]) * np.exp(1j * speed * t)
     loss = np.zeros(count, np.complex128)
     for node, weight in zip(nodes, gauss, strict=True):

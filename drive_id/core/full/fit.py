@@ -42,7 +42,7 @@ class Assessment:
     """What the windows tell of a fit besides the estimate: the influence of each batch of time, and what is left."""
 
     # (size, B), first-order change of the estimate when each batch's residuals are left out; then the bias by the
-    # penalties, the bound on the bias by current noise, what is uncertain of the current between samples and of a
+    # penalties, what current noise leaves of its bias, what is uncertain of the current between samples and of a
     # delay, the changes by the lack of fit and by rivals of effects, and last the change with the shapes of the
     # inverter's curve. ``changes @ changes.T`` is the covariance of the estimate, consistent for heteroscedastic and
     # autocorrelated residuals, biases included.
@@ -208,11 +208,11 @@ def fit_full(
     noise = CurrentNoise.met(variance, sums.kept(), angle_variance)
     kept, solver, uncertain = sums.kept(), selection.solver, selection.solution
     while True:
-        solution, bias_bound = correct_attenuation(solver, uncertain, noise)
+        solution, by_noise = correct_attenuation(solver, uncertain, noise)
         if settings.passive_maps:
             solution = enforce_passivity(solver, solution)
         batches, energy, times, misfit = residual_statistics(sums, solution, noise)
-        biases = [solver.shrinkage(solution), bias_bound, UNCERTAIN_SHARE * solver.by_remainder(solution)]
+        biases = [solver.shrinkage(solution), by_noise, UNCERTAIN_SHARE * solver.by_remainder(solution)]
         biases.append(_by_delay(solver, uncertain, selection))
         by_rivals = _with_rivals(solver, uncertain, selection)
         biases.append(_with_undecided(solver, uncertain, selection))

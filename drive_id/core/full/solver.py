@@ -48,6 +48,9 @@ _UNPREDICTABLE = 4.0
 """Error on a fold left out, relative to the median: a fold with a disturbance judges no variant."""
 _NOISE_STEP = 2.0
 """Standard deviations of the noise over which the slope of the inverter's curve is taken: noise rounds its corners."""
+_BY_NOISE, _MOST_BY_NOISE = 0.5, 0.98
+"""Share of noise in the products of a direction from which on its error is widened, and the largest one that counts:
+the variance of the noise is known to some percent."""
 _THINNED = 2000
 """Windows from which the effect of current noise is computed: a mean over as many is within 2 %."""
 _ROUNDING = 1e-13
@@ -451,11 +454,27 @@ def correct_attenuation(solver: Solver, solution: FullSolution, noise: CurrentNo
 
     Returns
     -------
-    FullSolution, (size,) float
-        The corrected estimate, and a bound on the remaining bias: the attenuation of the correction itself. It is
-        nearly as large as the correction where only noise moves the currents in some direction, as across a ring.
+    FullSolution, (size, 1 + K) float
+        The corrected estimate, and bounds on the remaining errors: the attenuation of the correction itself, and what
+        is unknown where noise moves the currents more than the trajectory does, see :func:`_moved_by_noise`.
     """
     products = noise_products(solver, solution, noise, solution.sum_of_squares)
     twice = solver.solve(solution.spec, products)
     correction = solution.estimate - twice.estimate
-    return replace(solution, estimate=solution.estimate + correction), twice.response(products @ correction)
+    again = twice.response(products @ correction)
+    corrected = replace(solution, estimate=solution.estimate + correction)
+    return corrected, np.column_stack([again, _moved_by_noise(solution, products)])
+
+
+def _moved_by_noise(solution: FullSolution, products: sparse.csr_array) -> FloatArray:
+    """Return what the correction leaves (size, K) of K directions in which noise moves the currents more than all else.
+
+    Across a ring, all that seems to be known comes from noise, and the estimate x is attenuated to nearly nothing. Of a
+    direction with the share s of noise, the true value is ``x / (1 - s)``, and the corrected one ``x + x s / (1 + s)``.
+    """
+    inverse = solution.half_gain(np.eye(len(solution.scale)))
+    in_unknowns = solution.basis.T @ products @ solution.basis
+    share, direction = linalg.eigh(inverse @ (in_unknowns @ inverse.T), subset_by_value=(_BY_NOISE, np.inf))
+    share = np.minimum(share, _MOST_BY_NOISE)
+    seen = direction.T @ (inverse @ (solution.basis.T @ (products @ solution.estimate)))  # x s
+    return np.asarray(solution.basis @ (inverse.T @ (direction * (seen * 2 * share / (1 - share**2)))))

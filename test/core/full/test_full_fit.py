@@ -102,6 +102,20 @@ def test_what_noise_takes_from_the_map_is_given_back():
     assert np.linalg.norm(whole) < 0.8 * np.linalg.norm(diluted)
 
 
+def test_what_only_noise_moves_is_not_known():
+    """The slope across a ring is taken from noise, which attenuates it to nothing."""
+
+    def ring(t, i_max):
+        return i_max * np.stack([np.cos(6 * np.pi * t), np.sin(6 * np.pi * t)], axis=-1)
+
+    fit = fitted(record(current=ring, i_max=90.0, drop=even_drop, duration=4.0, noise=0.1), replace(FULL, i_max=90.0))
+    i_dq = 0.97 * ring(np.linspace(0, 0.3, 50), 90.0)
+    rows = fit.model.flux.rows(i_dq)
+    off = rows.dot(fit.solution.estimate[fit.model.map]) - reciprocal_flux(i_dq)
+    foreseen = np.square(rows.dot(fit.assessment.changes[fit.model.map])).sum(axis=-1)
+    assert 0.3 < np.sqrt(np.mean(off**2) / np.mean(foreseen)) < 2.0
+
+
 def test_deviations_grow_with_the_noise(result):
     """With noise of 1 % and one speed, half a sample of delay is left open as well, unless it is known."""
     noisy = identify([record(drop=even_drop, duration=4.0, noise=3.0)], replace(FULL, calibrate_delay=False))

@@ -51,6 +51,8 @@ _NOISE_STEP = 2.0
 _BY_NOISE, _MOST_BY_NOISE = 0.5, 0.98
 """Share of noise in the products of a direction from which on its error is widened, and the largest one that counts:
 the variance of the noise is known to some percent."""
+_POWERS, _FOUND = 20, 0.6
+"""Steps of a power iteration for the largest share, and what they find of it at least."""
 _THINNED = 2000
 """Windows from which the effect of current noise is computed: a mean over as many is within 2 %."""
 _ROUNDING = 1e-13
@@ -472,8 +474,14 @@ def _moved_by_noise(solution: FullSolution, products: sparse.csr_array) -> Float
     Across a ring, all that seems to be known comes from noise, and the estimate x is attenuated to nearly nothing. Of a
     direction with the share s of noise, the true value is ``x / (1 - s)``, and the corrected one ``x + x s / (1 + s)``.
     """
+    in_unknowns, largest = sparse.csr_array(solution.basis.T @ products @ solution.basis), np.ones(len(solution.scale))
+    for _ in range(_POWERS):  # where noise moves nothing so far, all shares would take seconds for nothing
+        grown = solution.gain((in_unknowns @ largest)[:, None])[:, 0]
+        size = float(np.linalg.norm(grown) / max(np.linalg.norm(largest), TINY))
+        largest = grown / max(np.linalg.norm(grown), TINY)
+    if size < _BY_NOISE * _FOUND:
+        return np.zeros((solution.basis.shape[0], 0))
     inverse = solution.half_gain(np.eye(len(solution.scale)))
-    in_unknowns = solution.basis.T @ products @ solution.basis
     share, direction = linalg.eigh(inverse @ (in_unknowns @ inverse.T), subset_by_value=(_BY_NOISE, np.inf))
     share = np.minimum(share, _MOST_BY_NOISE)
     seen = direction.T @ (inverse @ (solution.basis.T @ (products @ solution.estimate)))  # x s

@@ -54,6 +54,8 @@ _CLOSE, _INDIFFERENT = 0.05, 0.5 * _PRICE
 misfit of the map decides between the latter."""
 _FAR = 0.03
 """Angle, rad, by which late currents or a late angle turn the flux far enough for a linearization of their own."""
+_LATEST = 0.8
+"""Of angle or currents at one speed, samples: there, a delay of the voltages looks alike, and is more usual."""
 _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
 _RIVAL = 0.3
@@ -162,7 +164,9 @@ class _Search:
         members = names | {DELAY} if delay != self.usual else names
         if len(members & _LATE) > 1 or (self.rules.one_speed and len(members & _ROTATING) > 1):
             return False
-        found = self.subset(names)
+        found, most = self.subset(names), _LATEST * self.rules.noise.period
+        if self.rules.one_speed and any(abs(found.value(name, delay)[0]) > most for name in names & _LATE):
+            return False
         if not all(_plausible(name, float(found.value(name, delay)[0]), self.rules.noise) for name in names):
             return False
         return all(self._explains_misfit(names, name, delay) for name in names if CATALOGUE[name].of_link)
@@ -267,6 +271,8 @@ def _about_lateness(first: EffectSearch, rules: _Rules) -> EffectSearch:
 
     About that fit, other effects would stand for what a large angle changes in second order.
     """
+    if rules.one_speed:
+        return first
     search, states, least = rules.search_about(first), [first], _FAR * rules.noise.period / rules.noise.turn
     for name in sorted(_LATE.intersection(rules.allowed)):
         best = search.best(frozenset({name}))

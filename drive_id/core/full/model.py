@@ -49,8 +49,8 @@ def _layout(widths: dict[str, int]) -> dict[str, slice]:
 
 
 EFFECTS = _layout({name: effect.width for name, effect in CATALOGUE.items()} | {"remainder": 2})
-"""Candidate effects and their columns relative to the first one; last, their second-order remainder, which has no
-unknown."""
+"""Candidate effects and their columns relative to the first one; last, their second-order remainder, and
+minus the part of their columns that moved currents and angles hold, which have no unknown."""
 
 EFFECT_COLUMNS = max(columns.stop for columns in EFFECTS.values())
 

@@ -477,8 +477,8 @@ def _moved_by_noise(solution: FullSolution, products: sparse.csr_array) -> Float
     in_unknowns, largest = sparse.csr_array(solution.basis.T @ products @ solution.basis), np.ones(len(solution.scale))
     for _ in range(_POWERS):  # where noise moves nothing so far, all shares would take seconds for nothing
         grown = solution.gain((in_unknowns @ largest)[:, None])[:, 0]
-        size = float(np.linalg.norm(grown) / max(np.linalg.norm(largest), TINY))
-        largest = grown / max(np.linalg.norm(grown), TINY)
+        size = float(np.linalg.norm(grown))  # of one of length 1
+        largest = grown / max(size, TINY)
     if size < _BY_NOISE * _FOUND:
         return np.zeros((solution.basis.shape[0], 0))
     inverse = solution.half_gain(np.eye(len(solution.scale)))

@@ -12,5 +12,6 @@ For effects of several percent of the current, the second order matters. Let di 
 angle by the effects, both at the estimate. The remainder is the exact change of the flux minus its linear part,
 ``[e^{j (theta + eps)} f((i + di) e^{-j eps}) - e^{j theta} (f + ...)]``, and what the current does between samples, see
 ``between_samples.py``. It has no unknown of its own and makes the repeated linearization converge to the nonlinear
-model.
+model. A filter of the currents passes H i, H = 1 / (1 + j omega tau), of a current and H f of its flux: it replaces
+e^{j eps}, and harmonics, the slope of the current and the inverter's drop are filtered as their frequencies are.
 """

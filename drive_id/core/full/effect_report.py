@@ -26,7 +26,7 @@ _NEGLIGIBLE = 5e-4
 random drive 0.1 % of the flux."""
 _MUCH = 2e-3
 """The same from which on there is a warning whatever they seem to move: only what recurs in cells is seen to. At most
-0.07 % on good drives of the population; 0.3 % where a DC link that fell moved the flux by 1 to 4 %."""
+0.13 % on 125 drives of the population; 0.3 % where a DC link that fell moved the flux by 1 to 4 %."""
 _MOVED, _OF_SIGMA = 1e-3, 0.7
 """Share of the flux that residuals beyond noise, or a rival of an effect, must move to be warned of, or of the standard
 error of R, which they are a part of: as large as all else."""

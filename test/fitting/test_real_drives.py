@@ -247,6 +247,7 @@ def test_a_magnet_that_gains_flux_while_the_copper_heats_is_doubted():
     found = fitted(replace(samples, u_abc=samples.u_abc / (1 - fall)[:, None]))
     assert 100 * max(score(found, simulation.truth)) > 2 * FLUX
     assert any("heat raises R and lowers the flux" in sentence for sentence in found.report.warnings)
+    assert "misfit" in [warning.code for warning in found.report.warnings], "0.3 % of the voltage is more than noise"
 
 
 def test_a_ripple_that_heat_hides_is_found():

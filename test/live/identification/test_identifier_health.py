@@ -72,7 +72,7 @@ def test_samples_without_partners_are_still_told(identifier):
         lambda section, number, values: (number * 100, [v[: 100 if section == 0 else 50] for v in values]),
     )
     _, said = told(identifier)
-    assert any("have partners" in sentence for sentence in said)
+    assert any("found partners" in sentence for sentence in said)
 
 
 def test_a_publisher_that_does_not_count_is_told(identifier):

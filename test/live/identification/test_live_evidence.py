@@ -7,9 +7,8 @@ from functools import partial
 
 import numpy as np
 import pytest
-import synthetic
 from loaded_kernels import loaded
-from synthetic import record
+from synthetic import reciprocal_flux, record, spline_free_current
 
 from drive_id.core import frames
 from drive_id.core.accumulation.excerpts import Spans
@@ -95,16 +94,14 @@ def test_optional_signals_arrive_beside_the_others(samples, tmp_path):
     np.testing.assert_allclose(kept.shaft_torque[11_000:19_901], np.arange(11_000, 19_901))
 
 
-def resting(monkeypatch, on, duration, period=2e-4):
+def resting(on, duration, period=2e-4):
     """Record a drive that turns throughout and carries current in the intervals ``on``, s, only."""
-    whole = synthetic.spline_free_current
 
     def current(t, i_max):
         share = sum(np.clip(20 * np.minimum(t - start, end - t), 0, 1) for start, end in on)
-        return whole(t, i_max) * np.sin(np.pi / 2 * share[..., None]) ** 2
+        return spline_free_current(t, i_max) * np.sin(np.pi / 2 * share[..., None]) ** 2
 
-    monkeypatch.setattr(synthetic, "spline_free_current", current)
-    return record(duration=duration, noise=0.3, period=period)
+    return record(duration=duration, noise=0.3, period=period, current=current)
 
 
 @pytest.mark.accuracy
@@ -117,7 +114,7 @@ def test_the_mad_is_taken_over_the_trajectory_not_over_the_rest_behind_it(tmp_pa
     settings = replace(SETTINGS, flux_model="linear")
     for module in (live_evidence, streaming):
         monkeypatch.setattr(module, "Spans", partial(Spans, 1 << 12, 8))
-    stream = resting(monkeypatch, [(-1.0, seconds)], seconds + 20.0)
+    stream = resting([(-1.0, seconds)], seconds + 20.0)
     trajectory = stream.part(0, round(seconds / stream.sample_period))
     write_recording(tmp_path / "bag", trajectory)
     expected = fit_bags(Sources([tmp_path / "bag"]), None, settings)
@@ -139,7 +136,7 @@ def test_the_live_picture_shows_the_trajectory(tmp_path, monkeypatch):
     """And not the dot at which the drive rests by then."""
     drawn = []
     monkeypatch.setattr(plots, "result_pictures", lambda _found, samples, _title, **_: drawn.extend(samples) or {})
-    stream = resting(monkeypatch, [(-1.0, 3.0)], 8.0)
+    stream = resting([(-1.0, 3.0)], 8.0)
     settings = IdentificationSettings(output_directory=str(tmp_path), picture=True)
     identifier = Identifier(settings, SETTINGS)
     feed(identifier.live, stream, block=500)
@@ -150,8 +147,8 @@ def test_the_live_picture_shows_the_trajectory(tmp_path, monkeypatch):
     assert np.hypot(*frames.to_dq(kept.i_abc, kept.angle).T).max() > 295.0
 
 
-def test_a_rest_between_two_trajectories_divides_the_excerpt_only(monkeypatch):
-    stream = resting(monkeypatch, [(-1.0, 2.0), (4.0, 6.0)], 6.0)
+def test_a_rest_between_two_trajectories_divides_the_excerpt_only():
+    stream = resting([(-1.0, 2.0), (4.0, 6.0)], 6.0)
     live = LiveEvidence(SETTINGS)
     feed(live, stream)
     snapshot = live.snapshot()
@@ -291,7 +288,7 @@ def test_settings_of_the_solution_keep_the_samples(samples):
 @pytest.mark.accuracy
 def test_live_samples_are_the_first_recording_of_the_conditions():
     warm = LiveEvidence(replace(SETTINGS, method="full", harmonic_orders=(), temperatures=(100.0,)))
-    feed(warm, record(synthetic.reciprocal_flux, resistance=0.02, duration=2.0, noise=0.3))
+    feed(warm, record(reciprocal_flux, resistance=0.02, duration=2.0, noise=0.3))
     assert warm.snapshot().conclude().drive.resistance * (1 + 3.93e-3 * 80.0) == pytest.approx(0.02, rel=5e-3)
     warm.configure(replace(warm.settings, temperatures=(20.0, 30.0)))
     with pytest.raises(ConfigurationError, match="temperatures has 2 entries for 1 recording:"):

@@ -21,6 +21,10 @@ from drive_id.types import FloatArray, Samples
 
 _MOST_POLE_PAIRS = 16
 """Tried where the number is not known: as many as common machines have."""
+_WIDEST, _DROP_POINTS = 2.0, 2001
+"""Phase currents, in i_max, between which the inverter's drop is tabulated, and points: each step is i_max / 500."""
+_FILTER_STEPS = 64
+"""Over which the drop within the time constant of a filter is averaged: a step at a zero crossing is within 1/64."""
 _BENDS = 0.1
 """Of a cell of the map: a shift of the current by which a cubic spline keeps its slope within some percent."""
 
@@ -75,10 +79,10 @@ class EffectColumns:
         A phase current i that rises by v within the time constant was i + v then. After a step, the filtered drop
         follows e^{-t/tau}, and that of the filtered current steps when it crosses zero.
         """
-        current = np.linspace(-2.0, 2.0, 2001) * self.model.i_max
+        current = self.model.i_max * np.linspace(-_WIDEST, _WIDEST, _DROP_POINTS)
         drop = (self.model.shapes(current) @ self.estimate[self.model.phase_columns()]).T
         windows, rise = at.windows, at.filter * (1j * at.windows.speed * at.currents + at.windows.slope)
-        later, out = (np.arange(64) + 0.5) / 64, np.zeros(rise.shape, np.complex128)
+        later, out = (np.arange(_FILTER_STEPS) + 0.5) / _FILTER_STEPS, np.zeros(rise.shape, np.complex128)
         for axis, table in zip(np.exp(1j * frames.PHASE_SHIFTS), drop, strict=True):
             i, v = ((x * at.turn * axis.conj()).real[..., None] for x in (at.currents, rise))
             unlike = np.interp(i + v * later, current, table) - np.interp(i + v * (1 + np.log(later)), current, table)

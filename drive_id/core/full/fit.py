@@ -13,6 +13,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import HALF, Delay, DelayJump, delay_jump
+from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.lack_of_fit import LackOfFit
 from drive_id.core.full.linearized import DELAY, EffectSearch, FoundEffects
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
@@ -271,11 +272,12 @@ def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> F
     """Return the change (size,) of the estimate by a standard error of a delay that is no certain half or whole sample.
 
     At a constant speed it turns all fluxes, and the residuals hardly change. A delay that was not taken is one of none,
-    unless the data leave room for half a sample: for more than that it does not count.
+    unless the data leave room for half a sample: for more than that it does not count. Late currents or a late angle
+    stand for it.
     """
     delay, found = Delay(solution.spec.delay, 0.0), selection.search.found.delay
-    taken = delay.value == found.value
-    if np.isnan(found.sigma) or (found.certain and (delay.physical or not taken)):
+    taken, late = delay.value == found.value, any(CATALOGUE[name].late for name in solution.spec.effects)
+    if np.isnan(found.sigma) or (found.certain and (delay.physical or not taken)) or (late and not taken):
         return np.zeros(solver.model.size)
     step = found.sigma if taken else min(found.sigma, HALF)
     other = float(np.clip(delay.value + step, -MOST_DELAY, MOST_DELAY))

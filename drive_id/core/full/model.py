@@ -24,7 +24,7 @@ from scipy import sparse
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.resolution import Resolution
-from drive_id.core.full.windows import SHIFTS, Windows
+from drive_id.core.full.windows import EARLIEST, SHIFTS, Windows
 from drive_id.core.maps.coenergy import GradientSpline, PotentialSpline
 from drive_id.core.maps.flux_models import ColumnArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
@@ -39,8 +39,6 @@ VOLTAGE, RESISTANCE = 0, 1  # columns of all variants, as the slices below
 CONSTANT = slice(2, 4)
 SHIFT = slice(4, 5 + len(SHIFTS))  # by each of SHIFTS, and last by the voltage before an end, turned on
 MAGNET = SHIFT.stop
-EARLIEST = -0.5
-"""Delay of the voltages, samples, below which no log is decimated: they are early by the steps of a drive."""
 
 
 def _layout(widths: dict[str, int]) -> dict[str, slice]:

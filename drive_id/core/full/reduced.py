@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from drive_id.core.full.model import EARLIEST, SHIFT, VOLTAGE, FullModel, delay_shares
-from drive_id.core.full.windows import SHIFTS
+from drive_id.core.full.model import SHIFT, VOLTAGE, FullModel, delay_shares
+from drive_id.core.full.windows import EARLIEST, SHIFTS
 from drive_id.types import TINY, FloatArray, IntArray
 
 _DEPENDENT = 1e-9

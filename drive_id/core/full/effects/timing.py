@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported, between
-from drive_id.core.full.windows import LAGS, MOST_DELAY, SHIFTS, Windows
+from drive_id.core.full.windows import EARLIEST, LAGS, MOST_DELAY, SHIFTS, Windows
 from drive_id.types import TINY, FloatArray
 
 _EARLIEST = 0.8
@@ -28,8 +28,10 @@ def _late(name: str, found: Reported) -> Iterator[Calibration]:
 def _filtered(windows: Windows, time: float, delay: float) -> ComplexArray:
     """Return the difference (N,) between the ends of the delayed voltage after a first-order lag, s; 0: that before.
 
-    Before the oldest voltage that windows keep, it turned with the rotor.
+    Before the oldest voltage that windows keep, it turned with the rotor. A delay as of a decimated log is left out: no
+    voltage after an end may count, which answers to the noise there.
     """
+    delay = 0.0 if EARLIEST < delay < 0 else delay
     rate = windows.period[:, None] / max(time, TINY)
     ago = -np.array(SHIFTS) - 1 - delay  # samples since a voltage ended
     shares = np.exp(-rate * np.maximum(ago, 0.0)) - np.exp(-rate * np.maximum(ago + 1, 0.0)) + 0j

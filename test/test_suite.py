@@ -70,7 +70,7 @@ def test_an_unmarked_test_that_takes_long_fails(tmp_path):
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = slow\n")
     (tmp_path / "test_it.py").write_text(
         "import pytest\n"
-        "def work():\n    return sum(range(10_000_000))\n"
+        "def work():\n    return sum(range(30_000_000))\n"
         "@pytest.fixture(scope='module')\ndef shared():\n    return work()\n"
         "def test_long():\n    work()\n"
         "def test_short(shared):\n    pass\n"

@@ -20,7 +20,8 @@ OUT := out/demo
 
 # Runs a command inside the environment. Nodes talk to each other on this machine and to nobody else: not to another
 # run (hence a domain of its own) and not to a robot in the same network.
-RUN := env PATH="$(BIN):$$PATH" ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(shell echo $$(($$$$ % 101 + 1)))
+DRIVE_ID_DOMAIN ?= $(shell echo $$(($$$$ % 101 + 1)))
+RUN := env PATH="$(BIN):$$PATH" ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(DRIVE_ID_DOMAIN)
 # The ROS 2 wheels hold Fast DDS only, whatever another ROS 2 was told to use.
 RUN += $(if $(ROS_DISTRO),,RMW_IMPLEMENTATION=rmw_fastrtps_cpp)
 ifdef ROS_DISTRO

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import typer
 from page_commands import PAGES, ROOT, commands, make_commands
+from ros_bench import own_domain
 from steady_state import LinearDrive, disc_points, telemetry
 
 import drive_id
@@ -295,8 +296,11 @@ def test_what_make_is_called_with_works(text, tmp_path_factory):
         arguments += f" --keep {folder / 'corpus'}"  # made once for all
     command = ["make", "-o", "setup", f"BIN={Path(sys.executable).parent}", *others, f"ARGS={arguments.strip()}"]
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST", "MAKE", "COV"))}
-    ran = subprocess.run(
-        command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=600, check=False
-    )  # fmt: skip
+    domain, lock = own_domain()
+    with lock:
+        ran = subprocess.run(
+            command, cwd=ROOT, env=environment | {"DRIVE_ID_DOMAIN": str(domain)},
+            capture_output=True, text=True, timeout=600, check=False,
+        )  # fmt: skip
     assert ran.returncode == 0, ran.stdout[-3000:] + ran.stderr[-3000:]
     assert "Traceback" not in ran.stderr

@@ -173,7 +173,8 @@ class RosBench:
         self.folder = Path(folder)
         domain, self._lock = own_domain()
         self._patch = pytest.MonkeyPatch()  # also for whatever makes a context of its own in this process
-        self._patch.setenv("ROS_DOMAIN_ID", str(domain))
+        for name in ("ROS_DOMAIN_ID", "DRIVE_ID_DOMAIN"):  # the latter for make
+            self._patch.setenv(name, str(domain))
         self._patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         self._patch.setenv("ROS_LOG_DIR", str(self.folder / "ros_log"))
         self.environment = os.environ | {"PYTHONFAULTHANDLER": "1"}

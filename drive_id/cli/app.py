@@ -94,6 +94,8 @@ def _run() -> None:
     except MemoryError:
         _fail("The memory is not sufficient: close other programs, or give less data.")
     except ImportError as error:  # also where the system has no memory or no files left
+        if _is_interrupt(error):  # while a library was loaded
+            raise
         _fail(f"A library cannot be loaded ({error}): raise the limits of memory and files, or install it again.")
     except OSError as error:
         with suppress(OSError):  # or the interpreter would try the output once more

@@ -76,3 +76,23 @@ def test_the_nodes_do_not_let_many_threads_wait_for_small_matrices():
         environment |= {"OPENBLAS_NUM_THREADS": told} if told else {}
         ran = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
         assert ran.stdout.split() == [threads, "False"]
+
+
+def test_an_interrupt_while_a_library_is_loaded_is_one_sentence(monkeypatch, capsys):
+    """A compiled library that is interrupted in its making says that it cannot be loaded."""
+    from drive_id.cli import app
+
+    def loading():
+        try:
+            raise KeyboardInterrupt
+        except KeyboardInterrupt as interrupt:
+            raise ImportError("initialization failed") from interrupt
+
+    monkeypatch.setattr(app, "app", loading)
+    monkeypatch.setattr(app.atexit, "register", lambda *_: None)
+    monkeypatch.setattr(app.gc, "set_threshold", lambda *_: None)
+    monkeypatch.setenv("MPLBACKEND", "agg")  # which the program sets, and this restores
+    with pytest.raises(SystemExit) as ended:
+        app.main()
+    assert ended.value.code == 130
+    assert capsys.readouterr().err.splitlines() == ["drive-id: interrupted; no output was left behind."]

@@ -19,7 +19,7 @@ JOBS ?= $(shell echo $$(($$(nproc) + 1)))
 OUT := out/demo
 
 # Runs a command inside the environment. Nodes talk to each other on this machine and to nobody else: not to another
-# run (hence a domain of its own) and not to a robot in the same network.
+# run (hence a domain of its own, by DRIVE_ID_DOMAIN or by chance) and not to a robot in the same network.
 DRIVE_ID_DOMAIN ?= $(shell echo $$(($$$$ % 101 + 1)))
 RUN := env PATH="$(BIN):$$PATH" ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST ROS_DOMAIN_ID=$(DRIVE_ID_DOMAIN)
 # The ROS 2 wheels hold Fast DDS only, whatever another ROS 2 was told to use.

@@ -151,7 +151,7 @@ class Samples:
 
     def __repr__(self) -> str:
         parts = [f"{len(self)} at {1e-3 / self.sample_period:.6g} kHz", f"{self.duration:.4g} s"]
-        parts += [f"{counted(len(self.run_starts), 'run')}"] if len(self.run_starts) > 1 else []
+        parts += [counted(len(self.run_starts), "run")] if len(self.run_starts) > 1 else []
         known = ["references"] if self.i_dq_reference is not None else []
         known += [name.replace("_", " ") for name in self.scalars()]
         parts += [f"with {' and '.join(known)}"] if known else []

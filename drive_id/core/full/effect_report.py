@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects.catalogue import CATALOGUE
-from drive_id.core.full.effects.effect import Calibration, Reported
+from drive_id.core.full.effects.effect import CERTAIN, Calibration, Reported
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.lack_of_fit import LackOfFit
 from drive_id.core.full.model import RESISTANCE
@@ -41,8 +41,6 @@ OUTLYING = 20.0
 """Residuals of one batch, squared, relative to the median, from which on an event in time is told."""
 _ALIKE = 0.5
 """Share of the best explanation above which another one is named, too."""
-_CERTAIN = 3.0
-"""Standard errors from which on the sign of a change is certain."""
 _MOST_NAMED = 2
 """Most explanations named: a longer list helps nobody."""
 
@@ -125,7 +123,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
     columns, estimate = found.columns, fit.solution.estimate
     out: list[Calibration] = []
     drop = float((fit.model.shapes.coarse(np.array([fit.model.i_max])) @ fit.model.coarse_drop(estimate))[0])
-    slopes = jacobian(fit.model.flux, estimate[fit.model.map], np.zeros((1, 2)))
+    slopes, links = jacobian(fit.model.flux, estimate[fit.model.map], np.zeros((1, 2))), _links(fit)
     for taken in found.taken:
         if taken.name not in fit.spec.effects:
             continue
@@ -145,7 +143,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             drop=drop,
             pole_pairs=columns.pole_pairs,
             link=columns.link,
-            links=_links(fit),
+            links=links,
             ripple=columns.ripple,
             time_constant=np.inf if columns.winding is None else columns.winding.constant,
         )
@@ -162,7 +160,7 @@ def _doubted_heat(entries: list[Calibration]) -> list[Calibration]:
         if copper is None or number == entry.name:
             out.append(entry)
             continue
-        certain = all(abs(each.value) > _CERTAIN * each.sigma for each in (entry, copper))
+        certain = all(abs(each.value) > CERTAIN * each.sigma for each in (entry, copper))
         told = Message("magnet_flux_change.doubted", **entry.message.values, kelvin=copper.message.values["kelvin"])
         opposed = certain and entry.value * copper.value > 0
         out.append(replace(entry, doubtful=True, message=told) if opposed else entry)
@@ -171,10 +169,13 @@ def _doubted_heat(entries: list[Calibration]) -> list[Calibration]:
 
 def _links(fit: FullFit) -> tuple[float, float]:
     """Return the lowest and the highest mean of the DC-link voltage in a recording, V; NaN where it is not known."""
-    windows = Windows.joined(fit.selection.search.sums.kept())
-    known = np.isfinite(windows.link)
-    recording, voltage = windows.recording[known], windows.voltage[known]
-    products = (voltage.conj() * windows.link[known]).real
+    kept = fit.selection.search.sums.kept()
+    link, voltage, recording = (
+        np.concatenate([getattr(windows, name) for windows in kept]) for name in ("link", "voltage", "recording")
+    )
+    known = np.isfinite(link)
+    recording, voltage = recording[known], voltage[known]
+    products = (voltage.conj() * link[known]).real
     weights = np.bincount(recording, np.abs(voltage) ** 2)
     means = np.bincount(recording, products)[weights > 0] / weights[weights > 0]
     return (float(means.min()), float(means.max())) if len(means) else (np.nan, np.nan)

@@ -7,7 +7,7 @@ error on data left out, segment by segment of time. What physics excludes is no 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 
@@ -260,7 +260,7 @@ def search_effects(
     elif turn > 0:
         delay = estimate_delay(state.solver, state.solution, noise)
     search = replace(search, rules=every)  # what was not confirmed is a rival all the same
-    taken = tuple(_taken(search, chosen, lambda value: Delay(value, 0.0).significant(turn)))
+    taken = tuple(_taken(search, chosen))
     extended = sums if not chosen.names and not remains(state.solver) else state.sums
     undecided = _undecided(search, chosen, max(state.solution.rows, 1.0))
     return replace(state, sums=extended, found=replace(state.found, taken=taken, delay=delay, undecided=undecided))
@@ -313,10 +313,11 @@ def _about_its_best(state: EffectSearch, first: EffectSearch, rules: _Rules) -> 
     return state, chosen, search
 
 
-def _taken(search: _Search, chosen: _Set, significant: Callable[[float], bool]) -> Iterator[Taken]:
+def _taken(search: _Search, chosen: _Set) -> Iterator[Taken]:
     """Yield the members of a set, that which saves most first, with those that would explain nearly as much.
 
-    A delay is one of these if it is significant. What comes beside another effect has none: that one tells it.
+    A delay is one of these if it turns the voltages by an angle that matters. What comes beside another effect has
+    none: that one tells it.
     """
     saved = {member: search.without(chosen, member).squares - chosen.squares for member in chosen.members}
     for member in sorted(saved, key=lambda name: -saved[name]):
@@ -325,7 +326,7 @@ def _taken(search: _Search, chosen: _Set, significant: Callable[[float], bool]) 
             for name, other, share in search.exchanged(chosen, member)
             if (share > 1 - _CLOSE or search.alike(other, chosen))
             and member not in _BESIDE
-            and (name != DELAY or significant(other.delay))
+            and (name != DELAY or Delay(other.delay, 0.0).significant(search.rules.turn))
         }
         yield Taken(member, tuple(sorted(rivals)))
 

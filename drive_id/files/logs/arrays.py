@@ -204,5 +204,5 @@ def grouped(columns: dict[str, tuple[str, int]]) -> tuple[ColumnGroup, ...]:
     groups = []
     for rows in lengths:
         members = {name: kind for name, (kind, length) in columns.items() if length == rows}
-        groups.append(ColumnGroup("" if len(lengths) == 1 else f"{counted(rows, 'row')}", members, rows))
+        groups.append(ColumnGroup("" if len(lengths) == 1 else counted(rows, "row"), members, rows))
     return tuple(groups)

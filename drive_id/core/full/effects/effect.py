@@ -17,6 +17,8 @@ from drive_id.types import FloatArray
 
 MOST_RUNS, MOST_RECORDINGS = 4, 8
 """Most runs with separate mechanical angles, and most recordings with separate temperatures."""
+CERTAIN = 3.0
+"""Standard errors from which on a sign, or a share that is not possible, is certain."""
 VOLTAGE_MISMATCH = "voltage_gain_mismatch"
 
 

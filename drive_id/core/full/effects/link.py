@@ -8,15 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.effects.effect import MOST_RUNS, Calibration, DriveEffect, Linearized, Recorded, Reported
+from drive_id.core.full.effects.effect import (
+    CERTAIN,
+    MOST_RUNS,
+    Calibration,
+    DriveEffect,
+    Linearized,
+    Recorded,
+    Reported,
+)
 from drive_id.core.full.windows import Windows
 from drive_id.types import FloatArray
 
 _SMALL = 1e-4
 """Angle, rad, that stands for smaller ones, by which nothing may be divided: both moments are then exact to 1e-4."""
-_MISSED, _CERTAIN = 0.05, 3.0
-"""Share of the variation that noise of the log may hide or feign: of variations of 1 %, 0.05 % of the voltage; and
-standard errors from which on it is certain."""
+_MISSED = 0.05
+"""Share of the variation that noise of the log may hide or feign: of variations of 1 %, 0.05 % of the voltage."""
 _LEVELS = 0.005
 """Relative difference of the link's means from which on their reference matters: five times what maps are off by."""
 
@@ -35,7 +42,7 @@ class DcLink(DriveEffect):
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         share, sigma = found.value[0], found.sigma[0]
-        (low, high), far = found.links, max(_MISSED, _CERTAIN * sigma)
+        (low, high), far = found.links, max(_MISSED, CERTAIN * sigma)
         key, told = "", {}
         if not -far < share < 1 + far:
             key = "dc_link_share.impossible"

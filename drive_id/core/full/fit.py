@@ -45,8 +45,8 @@ class Assessment:
     # (size, B), first-order change of the estimate when each batch's residuals are left out; then the bias by the
     # penalties, what current noise leaves of its bias, what is uncertain of the current between samples, of a delay,
     # and of an effect that is neither found nor excluded, the changes by the lack of fit and by rivals of effects, and
-    # last the change with the shapes of the inverter's curve. ``changes @ changes.T`` is the covariance of the estimate,
-    # consistent for heteroscedastic and autocorrelated residuals, biases included.
+    # last the change with the shapes of the inverter's curve. ``changes @ changes.T`` is the covariance of the
+    # estimate, consistent for heteroscedastic and autocorrelated residuals, biases included.
     changes: FloatArray
     misfit: LackOfFit  # residuals beyond noise
     speeds: FloatArray  # (N,), electrical speeds of windows, rad/s

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import sparse
@@ -27,9 +28,12 @@ def voltage_columns(model: FullModel) -> IntArray:
     return np.asarray(np.r_[VOLTAGE, SHIFT, model.effect("remainder")], np.int64)
 
 
+@lru_cache(maxsize=1024)
 def delayed(delay: float) -> FloatArray:
     """Return the combination of :func:`voltage_columns` that is the integral of the delayed voltages."""
-    return np.concatenate([[1.0], -delay_shares(delay), [-1.0, -1.0]])
+    combination = np.concatenate([[1.0], -delay_shares(delay), [-1.0, -1.0]])
+    combination.flags.writeable = False
+    return combination
 
 
 _EDGES = np.array(sorted([*SHIFTS, SHIFTS[-1] + 1, EARLIEST]))

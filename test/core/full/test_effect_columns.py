@@ -17,7 +17,7 @@ from synthetic import saturating_flux
 
 from drive_id.core import frames
 from drive_id.core.full.effects.columns import EffectColumns
-from drive_id.core.full.effects.link import ripple_columns
+from drive_id.core.full.effects.link import RippleShape
 from drive_id.core.full.model import EFFECTS, RESISTANCE, VOLTAGE, FullModel
 from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.types import Samples
@@ -353,7 +353,7 @@ def test_a_ripple_of_the_link_is_exact_over_the_held_voltages(speed, frequency):
         sample_period=PERIOD,
     )
     windows = cut(samples)
-    found = ripple_columns(windows)(frequency)
+    found = RippleShape.of(windows).columns(frequency)
     middle = 2 * np.pi * frequency * (t + 0.5 * PERIOD)
     for column, wave in zip(found.T, (np.cos(middle), np.sin(middle)), strict=True):
         integral = PERIOD * np.append(0.0, np.cumsum(u_s * wave))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,7 +70,7 @@ class LinkRipple(DriveEffect):
         return known.runs <= MOST_RUNS and not known.link
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return at.in_runs(ripple_columns(at.windows)(at.ripple).T) if at.ripple else []
+        return at.in_runs(RippleShape.of(at.windows).columns(at.ripple).T) if at.ripple else []
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield found.entry("link_ripple", *found.amplitude, "1", frequency=found.ripple)
@@ -92,29 +92,45 @@ class LinkSag(DriveEffect):
         yield found.entry("link_sag", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
 
 
-def ripple_columns(windows: Windows) -> Callable[[float], ComplexArray]:
-    """Return the function of a frequency, Hz, that gives the columns (N, 2) of cosine and sine of a ripple, Vs.
+@dataclass(frozen=True, eq=False)
+class RippleShape:
+    """The voltage in windows, as the columns of a ripple of any frequency need it; build it by :meth:`of`.
 
     The voltage in the rotor frame is taken as a straight line over a window, with the slope between the voltages held
     before its ends, and with the recorded integral.
     """
-    speed, duration = windows.speed.mean(axis=1), windows.duration
-    at = windows.time + 0.5 * duration
-    turned = np.exp(0.5j * speed * duration)  # from the middle to the end
-    steps = windows.held[:, 1] / turned - windows.held[:, 0] * turned
-    slope = 0.5 * duration * steps * np.exp(0.5j * speed * windows.period)  # held from half a sample ago on average
-    constant, linear = _moments(0.5 * speed * duration)
-    mean = (windows.voltage - slope * linear) / constant
 
-    def columns(frequency: float) -> ComplexArray:
-        turns = 2 * np.pi * frequency
+    middle: FloatArray  # (N,), s
+    duration: FloatArray  # (N,), s
+    speed: FloatArray  # (N,), rad/s
+    mean: ComplexArray  # (N,), Vs
+    slope: ComplexArray  # (N,), Vs, from the middle to the end
+
+    @classmethod
+    def of(cls, windows: Windows) -> RippleShape:
+        """Take what windows hold."""
+        speed, duration = windows.speed.mean(axis=1), windows.duration
+        turned = np.exp(0.5j * speed * duration)  # from the middle to the end
+        steps = windows.held[:, 1] / turned - windows.held[:, 0] * turned
+        slope = 0.5 * duration * steps * np.exp(0.5j * speed * windows.period)  # held from half a sample ago on average
+        constant, linear = _moments(0.5 * speed * duration)
+        mean = (windows.voltage - slope * linear) / constant
+        return cls(windows.time + 0.5 * duration, duration, speed, mean, slope)
+
+    def integrals(self, frequency: float) -> tuple[ComplexArray, ComplexArray]:
+        """Return those (N,) of ``u_s e^{j 2 pi f t}`` and ``u_s e^{-j 2 pi f t}`` with t from a window's middle, Vs."""
         sides = []
         for sign in (1, -1):
-            constant, linear = _moments(0.5 * (speed + sign * turns) * duration)
-            sides.append(np.exp(1j * sign * turns * at) * (mean * constant + slope * linear))
-        return np.stack([-0.5 * (sides[0] + sides[1]), 0.5j * (sides[0] - sides[1])], axis=1)
+            constant, linear = _moments(0.5 * (self.speed + sign * 2 * np.pi * frequency) * self.duration)
+            sides.append(self.mean * constant + self.slope * linear)
+        return sides[0], sides[1]
 
-    return columns
+    def columns(self, frequency: float) -> ComplexArray:
+        """Return the columns (N, 2) of cosine and sine of a ripple of a frequency, Hz, Vs."""
+        turned = np.exp(2j * np.pi * frequency * self.middle)
+        ahead, behind = self.integrals(frequency)
+        ahead, behind = ahead * turned, behind * turned.conj()
+        return np.stack([-0.5 * (ahead + behind), 0.5j * (ahead - behind)], axis=1)
 
 
 def _moments(x: FloatArray) -> tuple[FloatArray, ComplexArray]:

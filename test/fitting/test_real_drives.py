@@ -292,15 +292,16 @@ def test_a_hard_dead_time_is_kept_out_of_the_map_and_said():
     assert found.report.warnings == ()
 
 
-@pytest.mark.parametrize(("law", "width", "told"), [("tanh", 0.1, False), ("dead_time", 0.2, True)])
-def test_a_wide_inverter_curve_shares_its_uncertainty_with_the_resistance(law, width, told):
-    """Without the wide shapes, R was off by 3 to 23 %, 7 to 70 of its standard errors."""
+@pytest.mark.parametrize(("law", "width"), [("tanh", 0.1), ("tanh", 0.2), ("tanh", 0.3), ("dead_time", 0.2)])
+def test_a_wide_inverter_curve_shares_its_uncertainty_with_the_resistance(law, width):
+    """Without the wide shapes, R was off by 3 to 28 %, 7 to 70 of its standard errors.
+
+    From one shape to the next, R may stand still: at 20 % from none to one, at 30 % from one to two.
+    """
     settings = replace(GOOD, inverter=law, inverter_current=width * IPM.i_max)
     simulation = run_experiment(IPM, settings, seconds=SECONDS)
     found = fitted(simulation.samples)
     assert 100 * max(score(found, simulation.truth)) < FLUX
     assert found.resistance == pytest.approx(simulation.truth.resistance, abs=2 * found.sigma_resistance)
-    of_curve = "The inverter's drop still bends at large currents"
-    assert [text for text in found.report.warnings if text.startswith(of_curve)] == list(found.report.warnings)
-    assert bool(found.report.warnings) == told
-    assert any(text.startswith(of_curve) for text in (*found.report.warnings, *found.statements))
+    (told,) = found.report.warnings
+    assert told.startswith("The inverter's drop still bends at large currents")

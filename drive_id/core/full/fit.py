@@ -23,6 +23,7 @@ from drive_id.core.full.standard_errors import SIGNIFICANCE, residual_statistics
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.maps.flux_models import BasisRows, jacobian, positive_definite
+from drive_id.core.maps.inverter_curve import WIDE
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.types import TINY, BoolArray, FloatArray
 
@@ -92,7 +93,7 @@ class FullFit:
 
     @property
     def shared_resistance(self) -> float:
-        """Change of R with the shapes of a wide inverter curve, ohm; 0 if the curve is not wide."""
+        """Largest change of R with the shapes of a wide inverter curve, ohm; 0 if the curve is not wide."""
         return float(abs(self.assessment.changes[RESISTANCE, -1])) if self.spec.wide else 0.0
 
     def met(self, effect: str, column: int) -> bool:
@@ -319,16 +320,20 @@ def _with_rivals(solver: Solver, solution: FullSolution, selection: Selection) -
 
 
 def _among_curves(solver: Solver, solution: FullSolution) -> FloatArray:
-    """Return the change (size,) of the estimate with another shape of the inverter's curve, if beyond noise.
+    """Return the change (size,) of the estimate with another curve of the inverter that moves R most, if beyond noise.
 
-    It is that from one wide shape to two, or from none to one: selecting the simpler curve does not show that it is
-    true, and R takes the difference.
+    Selecting a curve does not show that it is true, and R takes the difference. From one shape to the next, R may stand
+    still by accident: all of them count.
     """
-    spec = solution.spec
-    fewer, more = (solver.solve(replace(spec, wide=wide)) for wide in ((1, 2) if spec.wide else (0, 1)))
-    change = more.estimate - fewer.estimate
-    noise = np.sqrt(abs(more.variance_of_resistance - fewer.variance_of_resistance))
-    return change if spec.wide or abs(change[RESISTANCE]) > _BY_SHAPE * noise else np.zeros_like(change)
+    spec, out = solution.spec, np.zeros_like(solution.estimate)
+    for wide in set(range(WIDE + 1)) - {spec.wide}:
+        other = solver.solve(replace(spec, wide=wide))
+        change = other.estimate - solution.estimate
+        noise = np.sqrt(abs(other.variance_of_resistance - solution.variance_of_resistance))
+        beyond = spec.wide or abs(change[RESISTANCE]) > _BY_SHAPE * noise
+        if beyond and abs(change[RESISTANCE]) > abs(out[RESISTANCE]):
+            out = change
+    return out
 
 
 def _weakest(model: FullModel, solution: FullSolution, changes: FloatArray) -> str | None:

@@ -28,6 +28,7 @@ from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.full.zero_crossings import between_crossings, crossings_exceed
 from drive_id.core.maps.flux_models import jacobian
+from drive_id.core.maps.inverter_curve import WIDE
 from drive_id.origins import ORIGINS
 from drive_id.types import TINY, FloatArray
 
@@ -426,21 +427,19 @@ def _with_early_steps(solver: Solver, solution: FullSolution, least: float = 0.0
 
 
 def _with_wide_curve(search: EffectSearch, solution: FullSolution) -> FullSolution:
-    """Add wide shapes to the inverter's curve, as long as each changes R by more than noise does.
+    """Add wide shapes to the inverter's curve, as many as change R by more than noise does.
 
     R takes a part of a drop that still bends at large currents. Which part depends on the shapes. Near zero current,
     the curve amplifies noise, which is not white then.
     """
-    for wide in (1, 2):
+    for wide in range(1, WIDE + 1):
         wider = search.solver.solve(replace(solution.spec, wide=wide))
         white = np.sqrt(abs(wider.variance_of_resistance - solution.variance_of_resistance))
         least = abs(wider.resistance - solution.resistance) / SIGNIFICANCE
-        if least < white:
-            break
-        one, two = (changes_by_batch(search.sums, each, RESISTANCE) for each in (solution, wider))
-        if least < sigma(two - one):
-            break
-        solution = wider
+        if least >= white:
+            one, two = (changes_by_batch(search.sums, each, RESISTANCE) for each in (solution, wider))
+            if least >= sigma(two - one):
+                solution = wider
     return solution
 
 

@@ -13,6 +13,7 @@ from drive_id.types import FloatArray
 
 _FLAT = 1e-5  # steps of the current, relative to the scale of a curve, over which its mean is that in the middle
 _SERIES_BELOW = 0.02  # relative difference, below which the logarithm would cancel
+WIDE = 2  # curves that bend so far out that R can hardly be separated from them
 _FINEST = 800.0  # largest current over the scale of the steepest curve
 
 
@@ -58,7 +59,7 @@ class CapacitiveShapes:
     @property
     def usual(self) -> int:
         """Number of curves, from the first, that the drop of most inverters needs: up to about i_max / 6."""
-        return len(self.scales) - 2
+        return len(self.scales) - WIDE
 
     @cached_property
     def coarse(self) -> CapacitiveShapes:

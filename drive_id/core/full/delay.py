@@ -23,8 +23,11 @@ _BIAS = 0.01
 """Samples; largest bias of an estimated delay seen in simulations."""
 _NOISE_SHARE = 0.02
 """Contribution of noise to the product of voltage shifts and residuals seen in simulations, over the sum of squares."""
-_USUAL, _MOST_LEFT = 2.0, 0.7
-"""Samples: a delay of more is believed only where it leaves at most this share of the squared residuals."""
+_USUAL, _MOST_LEFT, _MORE_THAN_NOISE = 2.0, 0.7, 1.1
+"""Samples: a delay of more is believed only where it leaves at most this share of the squared residuals, and without it
+they are more than so many times those that the noise of the currents explains: at 2 % of noise, the answer of the
+controller to it feigned four samples.
+"""
 _SMOOTHING_BOUND = 2.0
 """Uncertainty of a delay, in units of its change with the largest penalty, which determines it on a ring."""
 _PHYSICAL = 0.05
@@ -141,7 +144,7 @@ def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) 
     The controller responds to noise with voltage, later, which biases the estimate. The standard error includes the
     correction, the bias that may remain where the data hardly determine a delay, the effect of smoothing, and the error
     of an interpolated angle, which resembles a delay. A delay of more than two samples is accepted only if it explains
-    a substantial part of the residuals.
+    a substantial part of residuals that are more than noise.
     """
     found, sigma, squares = solver.delay(solution)
     smoother = solver.delay(solver.solve(replace(solution.spec, penalty=PENALTIES[-1])))[0]
@@ -151,6 +154,8 @@ def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) 
     bounds = [sigma, _BIAS, _SMOOTHING_BOUND * (smoother - found), by_noise, left]
     if noise.angle_variance:
         bounds.append(np.sqrt(noise.angle_variance) / noise.turn)  # the angle turned by a delay that it resembles
-    if abs(found) > _USUAL and squares > _MOST_LEFT * solution.sum_of_squares:
-        bounds.append(MOST_DELAY)
+    if abs(found) > _USUAL:
+        of_noise = _MORE_THAN_NOISE * solution.rows * noise.explained(solver.model, solution)
+        if squares > _MOST_LEFT * solution.sum_of_squares or solution.sum_of_squares < of_noise:
+            bounds.append(MOST_DELAY)
     return Delay(float(np.clip(found - by_noise, -MOST_DELAY, MOST_DELAY)), float(np.linalg.norm(bounds)))

@@ -64,6 +64,7 @@ class Assessment:
     # (size,), by effect: how the estimate changes, other than by effects, with that rival in its place that changes the
     # map most
     by_rivals: dict[str, FloatArray]
+    by_delay: float  # share of the map's variance that stems from a delay that the data leave open
     jump: DelayJump | None = None  # where the delay of the voltages changes
 
 
@@ -215,7 +216,7 @@ def fit_full(
             solution = enforce_passivity(solver, solution)
         batches, energy, times, misfit = residual_statistics(sums, solution, noise)
         biases = [solver.shrinkage(solution), by_noise, UNCERTAIN_SHARE * solver.by_remainder(solution)]
-        biases.append(_by_delay(solver, uncertain, selection))
+        biases.append(by_delay := _by_delay(solver, uncertain, selection))
         by_rivals = _with_rivals(solver, uncertain, selection)
         biases.append(_with_undecided(solver, uncertain, selection))
         changes = np.column_stack(
@@ -251,6 +252,7 @@ def fit_full(
         outlying_time=float(times[energy.argmax()]),
         unseen=_unseen(sums, uncertain),
         by_rivals=by_rivals,
+        by_delay=float(np.sum(by_delay[sums.model.map] ** 2) / max(np.sum(changes[sums.model.map] ** 2), TINY)),
         jump=jump,
     )
     return FullFit(model=sums.model, solution=solution, selection=selection, assessment=assessment)

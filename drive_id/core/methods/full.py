@@ -50,6 +50,7 @@ _LOCKED_TURN = np.deg2rad(2.0)
 _NEARLY_ALL = (0.01, 0.99)  # quantiles of the angles, without which noise of the resolver would count as motion
 _FEW_POINTS = 0.005  # share of the map's points that may be uncertain
 _LARGE_SIGMA = 0.01  # standard error over the largest flux of an uncertain point
+_MOST_BY_DELAY = 0.5  # share of the map's variance from which on an open delay is its cause
 _LARGE_SHARE = 0.01
 """Of R, by which the shape of a wide inverter curve changes R."""
 _LARGE_OFFSET = 0.005  # of a current sensor, in i_max, for a warning
@@ -369,8 +370,9 @@ def _on_map(
         uncertain = sigma[chosen].max(axis=1) > _LARGE_SIGMA * np.abs(psi[chosen]).max()
         if uncertain.mean() > _FEW_POINTS:
             d, q = grid[chosen][uncertain].mean(axis=0)
+            key = "sigma_large.delay" if fit.assessment.by_delay > _MOST_BY_DELAY else "sigma_large"
             points, of = uncertain.sum(), chosen.sum()
-            yield Message("sigma_large", points=points, of=of, limit=_LARGE_SIGMA, i_d=d, i_q=q)
+            yield Message(key, points=points, of=of, limit=_LARGE_SIGMA, i_d=d, i_q=q)
     if fit.shared_resistance >= _large_share(fit):
         yield Message("wide_curve.large", shared=fit.shared_resistance)
 

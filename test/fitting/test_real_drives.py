@@ -250,6 +250,20 @@ def test_a_magnet_that_gains_flux_while_the_copper_heats_is_doubted():
     assert "misfit" in [warning.code for warning in found.report.warnings], "0.3 % of the voltage is more than noise"
 
 
+def test_noise_of_the_log_of_a_constant_link_is_told_from_a_link_that_varies():
+    """Duty cycles were multiplied by it: "-106 % of the variation, delayed, filtered or off in scale" was said."""
+    simulation = run_experiment(IPM, replace(GOOD, speeds=(700.0,)), seconds=SECONDS)
+    samples, mean = simulation.samples, simulation.truth.details["u_dc"]
+    logged = mean + np.random.default_rng(5).normal(0.0, 1e-3 * mean, len(samples))
+    found = fitted(replace(samples, u_abc=samples.u_abc * (logged / mean)[:, None], dc_link_voltage=logged))
+    (share,) = (entry for entry in found.calibrations if entry.name == "dc_link_share")
+    assert share.value == pytest.approx(-1.0, abs=4 * share.sigma)
+    assert share.message.code == "dc_link_share"
+    assert found.report.warnings == ()
+    assert any("DC link is noise" in sentence for sentence in found.statements)
+    assert 100 * max(score(found, simulation.truth)) < FLUX
+
+
 def test_a_ripple_that_heat_hides_is_found():
     """Its frequency shows in the residuals only when the heat is in the model."""
     heat = {"copper_heat_capacity": 30.0, "magnet_heat_capacity": 75.0}

@@ -49,7 +49,9 @@ def ripple_frequency(
     if near is None:
         tried = np.concatenate([np.arange(low, high + step, step) for low, high in _BANDS])
         near = float(tried[np.argmax(_saved(model, estimate, windows.part(begun <= _STRETCH), tried))])
-    tried = near + step * np.arange(-1 - 1 / _FINER, 1 + 1.5 / _FINER, 1 / _FINER)
+    low, high = min(_BANDS, key=lambda band: max(band[0] - near, near - band[1]))
+    finer = step * np.arange(-1 - 1 / _FINER, 1 + 1.5 / _FINER, 1 / _FINER)
+    tried = np.clip(near, low + finer[-1], high - finer[-1]) + finer  # beyond a band, a ripple would stand for a gain
     saved = _saved(model, estimate, windows, tried)
     best = 1 + int(np.argmax(saved[1:-1]))
     before, at, after = saved[best - 1 : best + 2]

@@ -27,6 +27,9 @@ _MISSED = 0.05
 _LEVELS = 0.005
 """Relative difference of the link's means from which on their reference matters: five times what maps are off by."""
 
+_MOST = 0.2
+"""Amplitude of a ripple, relative to the link, beyond which a drive would have tripped."""
+
 
 @dataclass(frozen=True)
 class DcLink(DriveEffect):
@@ -44,7 +47,12 @@ class DcLink(DriveEffect):
         share, sigma = found.value[0], found.sigma[0]
         (low, high), far = found.links, max(_MISSED, CERTAIN * sigma)
         key, told = "", {}
-        if not -far < share < 1 + far:
+        doubtful = True
+        if (
+            abs(share + 1) < far
+        ):  # the inverse of the noise of a link that is constant, by which duty cycles were multiplied
+            key, doubtful = "dc_link_share.noise", False
+        elif not -far < share < 1 + far:
             key = "dc_link_share.impossible"
         elif far < share < 1 - far:
             key = "dc_link_share.partial"
@@ -52,7 +60,7 @@ class DcLink(DriveEffect):
             key, told = "dc_link_share.levels", {"low": low, "high": high}
             told |= {"rise": found.link / low - 1, "fall": found.link / high - 1}
         entry = found.entry("dc_link_share", share, sigma, "1", key, mean=found.link, **told)
-        yield replace(entry, doubtful=True) if key else entry
+        yield replace(entry, doubtful=bool(key) and doubtful)
 
 
 @dataclass(frozen=True)
@@ -68,6 +76,9 @@ class LinkRipple(DriveEffect):
 
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return known.runs <= MOST_RUNS and not known.link
+
+    def plausible(self, value: float, _turn: float, _period: float) -> bool:  # noqa: D102
+        return abs(value) < _MOST
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return at.in_runs(RippleShape.of(at.windows).columns(at.ripple).T) if at.ripple else []

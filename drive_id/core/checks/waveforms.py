@@ -20,6 +20,7 @@ _LARGEST_VOLTAGE = 5000.0  # V, above which the voltages are taken for mV
 _SAME_SCALE = 1.3  # ratio of currents to references that a poor controller may have
 _LEAST_CORRELATION = 0.97  # of both, below which the controller does not follow and their ratio says nothing
 _ZERO_SEQUENCE = 0.02  # rms sum of the phase currents, by i_max: gains of sensors usually agree within 1 %
+_WHITE = 0.3  # correlation of successive sums, and share of their mean, below which they are noise
 _ODD_PHASE = 0.3  # difference of two phases' weights in the sum that is zero, by that of the third, which is odd then
 _REVERSED = 0.2  # distance of its gain from -1
 _AT_LIMIT = 2e-6  # relative width of a limit: float32 rounds to 6e-8
@@ -109,7 +110,9 @@ def _zero_sequence(i_abc: FloatArray, i_max: float) -> Iterator[Message]:
     """Yield phase currents whose sum is not zero, with the phase that does not match the others."""
     total = i_abc.sum(axis=1)
     rms = float(np.sqrt(np.mean(total**2)))
-    if rms <= _ZERO_SEQUENCE * i_max:
+    apart = total - total.mean()
+    white = abs(float(apart[1:] @ apart[:-1])) < _WHITE * float(apart @ apart) and abs(total.mean()) < rms * _WHITE
+    if rms <= _ZERO_SEQUENCE * i_max or white:  # noise of the sensors is no fault of their gains
         return
     size, vectors = np.linalg.eigh(i_abc.T @ i_abc / len(i_abc))
     weight = vectors[:, 0]

@@ -13,6 +13,7 @@ from drive_id.core.result.identification import FluxMap
 from drive_id.messages import Message
 from drive_id.types import FloatArray
 
+_BY_NOISE = 3.0  # mean deviation of a simulation from noisy currents that it begins with: twice their noise was seen
 _REVERSED = 4.0
 """Standard errors below zero at which the magnet's flux is negative: machines without magnets show up to 1.1."""
 _FEW_POINTS = 0.005  # share of the map's points whose inductances may be indefinite
@@ -120,13 +121,16 @@ def _on_map(evidence: Evidence, estimate: Estimate, flux_map: FluxMap, limits: L
         yield Message("indefinite_inductances", points=points, of=len(i_dq), i_d=d, i_q=q, remedy=limits.remedy)
     nearest = i_dq[np.hypot(*i_dq.T).argmin()]
     magnet, sigma = (float(flux_map.sampled(x, *nearest)) for x in (flux_map.psi_d, flux_map.sigma_d))
+    least = max(_REVERSED * sigma, limits.reversed * np.abs(flux_map.bilinear(i_dq)).max())
     offset = any(finding.code == "angle_offset" for finding in evidence.findings)
-    if not offset and magnet < -max(_REVERSED * sigma, limits.reversed * np.abs(flux_map.bilinear(i_dq)).max()):
-        yield Message("magnet_negative", flux=magnet, sigma=sigma)
+    if not offset and magnet < -least:
+        magnet -= float(nearest[0] * np.nan_to_num(flux_map.inductances(*nearest))[0, 0])  # flux of that current
+        if magnet < -least:
+            yield Message("magnet_negative", flux=magnet, sigma=sigma)
 
 
 def _on_simulation(evidence: Evidence, mad: tuple[float, float], limits: Limits) -> Iterator[Message]:
     if not np.isfinite(mad).all():
         yield Message("diverged", remedy=limits.remedy)
-    elif max(mad) > limits.mad * evidence.i_max:
+    elif max(mad) > np.hypot(limits.mad * evidence.i_max, _BY_NOISE * np.sqrt(evidence.noise_variance)):
         yield Message("simulation_off", mad=max(mad))

@@ -377,6 +377,11 @@ def test_a_sensor_of_another_gain(ipm, gain, phase):
     assert f"phase {'abc'[phase]} reads {gain} times too much" in finding
 
 
+def test_noise_of_the_currents_is_no_fault_of_their_gains(ipm):
+    noise = np.random.default_rng(3).normal(0.0, 0.02 * np.abs(ipm.i_abc).max(), ipm.i_abc.shape)
+    assert "zero_sequence" not in [finding.code for finding in found(replace(ipm, i_abc=ipm.i_abc + noise))]
+
+
 def test_a_constant_sum_of_the_currents(ipm):
     offset = found(replace(ipm, i_abc=ipm.i_abc + np.array([20.0, 0.0, 0.0])))[0]
     assert "20 A of it constant" in offset

@@ -77,6 +77,21 @@ def test_a_weak_magnet_half_a_turn_off_is_told(monkeypatch):
         assert ("magnet_negative" in [said.code for said in result.report.warnings]) == negative
 
 
+def test_the_flux_of_a_current_beside_a_hole_is_no_magnet(monkeypatch):
+    """Its data end at i_d = -18 A beside zero current, and psi_d is L_d i_d there."""
+    monkeypatch.setattr(Prescan, "findings", lambda *_: ())
+
+    def round_a_hole(t, i_max):
+        radius, phase = i_max * (0.53 + 0.47 * np.cos(2 * np.pi * 0.7 * t)), 2 * np.pi * 5.3 * t
+        return np.stack([-np.abs(radius * np.cos(phase)) - 6.0, radius * np.sin(phase)], axis=-1)
+
+    samples = record(
+        lambda i_dq: reciprocal_flux(i_dq) - [0.08, 0.0], duration=4.0, noise=0.1, i_max=290.0, current=round_a_hole
+    )
+    result = identify([samples], FULL)
+    assert "magnet_negative" not in [said.code for said in result.report.warnings]
+
+
 def test_wrong_signs_and_orders_are_refused(good):
     swapped = replace(good, i_abc=good.i_abc[:, [0, 2, 1]])
     for said, samples in (

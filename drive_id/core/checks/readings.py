@@ -50,6 +50,8 @@ _LATE_BETTER = 0.8
 """Largest ratio of unexplained voltage, to that without a delay, of a shift in time that is reported: 0.74 with one of
 3 samples, 0.84 at least on 106 good random drives, and 0.77 on another one, whose current sensors are not linear
 (no shift at all on 24 more of that kind)."""
+_LATE_LEAST = 0.01
+"""Share of the voltage that is left unexplained below which nothing is late: the rough model itself leaves half of it."""
 _NARROW = 0.1
 """Extent of the currents in d and q across by that along their main direction, below which they move on a line: 0.02
 with noise. At one speed, a shift in time then turns and bends the voltage as offset and saturation do."""
@@ -280,6 +282,7 @@ def _time_shift(runs: Sequence[Excerpt], declared: RoughFit) -> Message | None:
     shifted = rough_fit(runs, delays=(near.delay + np.arange(-step, step + 1)).tolist())
     if (
         shifted is None
+        or declared.without_delay < _LATE_LEAST
         or shifted.unexplained > _LATE_BETTER * declared.without_delay
         or abs(shifted.delay) <= max(DELAYS)
     ):

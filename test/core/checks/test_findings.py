@@ -14,6 +14,8 @@ from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.checks import readings
+from drive_id.core.checks.balance import Excerpt
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import gather, identify
@@ -207,6 +209,17 @@ def test_voltages_of_another_time(drives, drive, late):
     finding = found(replace(kept, u_abc=samples.u_abc[late:] if late > 0 else samples.u_abc[:n]))[0]
     assert finding.code == "time_shift"
     assert finding.values["delay"] == pytest.approx(late, abs=1)
+
+
+@pytest.mark.parametrize(("share", "late"), [(0.0052, False), (0.052, True)])
+def test_what_a_rough_model_leaves_itself_is_no_shift(ipm, monkeypatch, share, late):
+    """At 50 kHz, a shift of five samples halved the 0.5 % that are left, and was told."""
+    run = Excerpt.of(ipm.part(0, 4000), 300.0)
+    declared = replace(readings.rough_fit([run]), without_delay=share)
+    shifted = replace(declared, unexplained=0.5 * share, delay=5.0)
+    monkeypatch.setattr(readings, "rough_fit", lambda *_, **__: shifted)
+    finding = readings._time_shift([run], declared)
+    assert (finding is not None) == late
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.7, np.pi / 2])

@@ -51,7 +51,7 @@ _LATE_BETTER = 0.8
 3 samples, 0.84 at least on 106 good random drives, and 0.77 on another one, whose current sensors are not linear
 (no shift at all on 24 more of that kind)."""
 _LATE_LEAST = 0.01
-"""Share of the voltage that is left unexplained below which nothing is late: the rough model itself leaves half of it."""
+"""Share of the voltage left unexplained below which nothing is late: the rough model itself leaves half of it."""
 _NARROW = 0.1
 """Extent of the currents in d and q across by that along their main direction, below which they move on a line: 0.02
 with noise. At one speed, a shift in time then turns and bends the voltage as offset and saturation do."""

@@ -21,6 +21,7 @@ from drive_id.core.full.linearized import (
     EffectSearch,
     Taken,
     first_columns,
+    misfits,
     remains,
     settled,
     with_hidden_ripple,
@@ -54,6 +55,8 @@ _CLOSE, _INDIFFERENT = 0.05, 0.5 * _PRICE
 misfit of the map decides between the latter."""
 _FAR = 0.03
 """Angle, rad, by which late currents or a late angle turn the flux far enough for a linearization of their own."""
+_EVERY_SECOND = -0.25
+"""Delay, samples, of a log with every second sample."""
 _LATEST = 0.8
 """Of angle or currents at one speed, samples: there, a delay of the voltages looks alike, and is more usual."""
 _MOST_BY_PENALTY = 0.3
@@ -243,7 +246,7 @@ def search_effects(
     rules = _Rules(
         sums, plain, noise, tuple(allowed), turn, not several_speeds(noise.windows.speed.mean(axis=1)), least
     )
-    state, chosen, search = _about_its_best(_about_lateness(first, rules), first, rules)
+    state, chosen, search = _about_its_best(_about_lateness(_about_decimation(first, rules), rules), first, rules)
     every = rules
     for number in count(1):
         state, chosen = _among_rivals(state, search, chosen)
@@ -264,6 +267,18 @@ def search_effects(
     extended = sums if not chosen.names and not remains(state.solver) else state.sums
     undecided = _undecided(search, chosen, max(state.solution.rows, 1.0))
     return replace(state, sums=extended, found=replace(state.found, taken=taken, delay=delay, undecided=undecided))
+
+
+def _about_decimation(first: EffectSearch, rules: _Rules) -> EffectSearch:
+    """Linearize about a log with every second sample, if that leaves less: its current decays less between samples.
+
+    About the fit without a delay, what that takes for decay hides the delay.
+    """
+    if not (rules.turn and remains(first.solver) and misfits(first.solver.model, first.solution, rules.noise)):
+        return first
+    other = settled(rules.sums, replace(rules.plain, delay=_EVERY_SECOND), first.found.columns)
+    left, by_other = (state.solver.delay(state.solver.solve(rules.plain))[2] for state in (first, other))
+    return other if by_other < (1 - _CLOSE) * left else first
 
 
 def _about_lateness(first: EffectSearch, rules: _Rules) -> EffectSearch:

@@ -48,6 +48,7 @@ CAUSES = {
     "lag": ("flux_lag*",),
     "heat": ("copper_heating", "magnet_heating", "resistance_rise", "magnet_flux_change"),
     "recordings": ("copper_recordings", "magnet_recordings", "resistance_change*", "magnet_flux_change_*"),
+    "skin": ("skin_effect", "resistance_by_speed"),
     "rotor": ("eccentric_rotor", "rotor_ecc*"),
     "phases": ("phase_resistance", "resistance_[abc]", "resistance_of_phase"),
     "inverter": (

@@ -19,6 +19,8 @@ _ANY_CORRELATION = np.sqrt(2.0)
 """Two errors of unknown correlation add up to at most this times the root of their squares."""
 IRON_LOSS = ("iron_loss_conductance", "iron_loss_hysteresis", "iron_loss_current")
 """Names of the parts of the iron loss among what a fit identifies."""
+BY_SPEED = "resistance_by_speed"
+"""Name of the rise of the resistance with the speed, likewise."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drive_id.analysis.bands import ModelErrors, combined
+from drive_id.analysis.bands import BY_SPEED, ModelErrors, combined
 from drive_id.analysis.iron_loss import IronLoss
 from drive_id.analysis.surfaces import Surfaces
 from drive_id.core.maps.continuation import LongerGrid, continued
@@ -57,6 +57,8 @@ class MachineModel:
     inverter_current, inverter_voltage : (C,) float
         The drop of one phase, V, over its current, A.
     iron : IronLoss
+    resistance_by_speed : float
+        Rise of the resistance over the square of the electrical speed, by skin and proximity effect, ohm s^2/rad^2.
     temperature, magnet_temperature : float or None
         Degrees Celsius; None: as in the experiment.
     errors : ModelErrors or None
@@ -74,6 +76,7 @@ class MachineModel:
     inverter_current: FloatArray
     inverter_voltage: FloatArray
     iron: IronLoss = field(default_factory=IronLoss)
+    resistance_by_speed: float = 0.0
     temperature: float | None = None
     magnet_temperature: float | None = None
     errors: ModelErrors | None = None
@@ -151,6 +154,8 @@ class MachineModel:
             inverter_current=result.inverter_curve.current,
             inverter_voltage=result.inverter_curve.voltage,
             iron=IronLoss.of(result),
+            # warm copper conducts the currents within a conductor less
+            resistance_by_speed=sum(x.value for x in result.calibrations if x.name == BY_SPEED and x.applied) / factor,
             temperature=temperature,
             magnet_temperature=magnet,
             errors=ModelErrors.of(result.drive, longer, warmer=factor, magnet=warmer),

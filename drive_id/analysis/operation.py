@@ -67,9 +67,9 @@ class Operation:
         loss = model.iron.current(induced, electrical) if model.iron.known else np.zeros_like(induced)
         stator = i_dq + loss
         drop = np.stack(model.inverter_drop(stator[..., 0], stator[..., 1]), axis=-1)
-        resistive = model.resistance if np.isfinite(model.resistance) else 0.0
-        u_dq = induced + resistive * stator + drop
-        copper = 1.5 * model.resistance * np.sum(stator**2, axis=-1)
+        resistance = np.asarray(model.resistance + model.resistance_by_speed * electrical**2)
+        u_dq = induced + np.nan_to_num(resistance)[..., None] * stator + drop
+        copper = 1.5 * resistance * np.sum(stator**2, axis=-1)
         return cls(
             i_dq=i_dq,
             stator=stator,

@@ -8,6 +8,7 @@ from exact_results import exact_result
 from flashed_machines import folding, within
 
 from drive_id.analysis.machine import IronLoss, MachineModel, definite
+from drive_id.analysis.operation import Operation
 from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.errors import ConfigurationError
@@ -162,6 +163,22 @@ def test_iron_loss_that_was_identified_is_taken_over():
     several = IronLoss(0.1, 20.0, 2.0).current(np.array([3.0, -4.0]), np.array(-100.0))
     np.testing.assert_allclose(several, 0.7 * np.array([3.0, -4.0]))
     assert np.isfinite(IronLoss(0.1, 20.0, 2.0).current(np.zeros(2), np.array(0.0))).all()
+
+
+@pytest.mark.parametrize(("temperature", "factor"), [(None, 1.0), (120.0, 1.393)])
+def test_a_resistance_that_rises_with_the_speed_counts_in_losses_and_voltages(temperature, factor):
+    """Rising the less, the warmer the copper is."""
+    rise, speed, i_dq = 2e-8, np.array([0.0, 200.0]), np.array([-30.0, 40.0])
+    found = Calibration("resistance_by_speed", rise, 1e-10, "ohm s^2/rad^2", True, Message.told(""))
+    with_rise, without = (
+        MachineModel.of(exact_result(machine_map("ipm"), calibrations=each), temperature=temperature)
+        for each in ((found,), ())
+    )
+    points, usual = (Operation.at(model, i_dq, speed) for model in (with_rise, without))
+    more = rise / factor * (speed * with_rise.known_pole_pairs()) ** 2
+    np.testing.assert_allclose(points.copper - usual.copper, 1.5 * more * 50.0**2)
+    np.testing.assert_allclose(points.u_dq - usual.u_dq, more[:, None] * i_dq, atol=1e-12)
+    np.testing.assert_allclose(points.power, points.mechanical + points.losses)
 
 
 def test_what_is_unknown_is_named():

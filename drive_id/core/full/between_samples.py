@@ -8,6 +8,10 @@ times that up to 1, and f' the incremental inductances,
 
 where i_lin and psi_lin are linear between the measured samples. W depends on this current, so it is found by
 iteration. At 15 degrees per sample, a machine with a short-circuit current of ten times i_max bows by 8 % of i_max.
+
+At few degrees the current still is no straight line where it decays fast: while R i and the drop h rise by dv in a
+sample, it bows by f'^-1 T dv s (1 - s) / 2. The integral of R i + h then exceeds that of a straight current by
+T^2 (R + h') f'^-1 dv / 12, which adds up over a window: with R T / L = 0.35, to 1 % of the flux.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import RESISTANCE, FullModel
-from drive_id.core.full.windows import Windows, spacing
+from drive_id.core.full.windows import EARLIEST, Windows, spacing
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import TINY, FloatArray, IntArray
 
@@ -27,7 +31,12 @@ UNCERTAIN_SHARE = 0.1
 """Uncertain share of these integrals; compared with an integration of high order."""
 _NEGLIGIBLE = 1e-3
 """Deviation of the current from a straight line, in i_max or in steps of the table, below which it is as good as
-straight, and relative change of the drop that ends the iterations."""
+straight."""
+_SETTLED = 1e-4
+"""Relative change of drop and resistive voltage that ends the iterations: at 1e-3, R T / L = 0.3 left 0.1 % of the
+flux."""
+_LEAST_DECAY = 1e-4
+"""Share of the flux, (R T / L)^2 / 12, from which on the decay of the current within a sample counts."""
 _SPAN = 0.1
 """Half of the range of current, in i_max, over which the inductances are averaged: about what the current bows, and
 wide enough that the noise of the map is not fed back through the bow. With the splines' own slopes, a machine at 15
@@ -41,9 +50,13 @@ _ROUNDS, _DAMPING = 8, 0.6
 overshoots with all of it."""
 _BEYOND = 2.0
 """Range of the tabulated drop, in i_max."""
+_NODES = 9
+"""Places over a window at which the decaying voltage is taken: some 7 degrees electrical apart."""
 
 
-def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, psi: ComplexArray) -> ComplexArray:
+def between_samples(
+    model: FullModel, estimate: FloatArray, windows: Windows, psi: ComplexArray, delay: float = 0.0
+) -> ComplexArray:
     """Return the integral (N,), Vs, of resistive voltage and drop over the currents minus that over straight ones.
 
     Parameters
@@ -52,6 +65,8 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
         See :class:`~drive_id.core.full.solver.FullSolution`.
     psi : (N, 2) complex
         Flux at both ends, Wb.
+    delay : float
+        Of the voltages, samples.
 
     Returns
     -------
@@ -69,16 +84,21 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
     inductance = np.median(np.linalg.eigvalsh(0.5 * (mean + np.swapaxes(mean, 1, 2)))[:, 0])
     bow = np.square(fastest * step) / 8 * np.abs(psi).max()  # of the flux
     most = inductance * model.i_max  # a current that bows by i_max and more diverges
-    if not (known.any() and _NEGLIGIBLE * most <= bow <= most):
+    resistance = float(estimate[RESISTANCE])
+    decays = (resistance * windows.period.max()) ** 2 / 12 > _LEAST_DECAY * inductance**2
+    bows = bow >= _NEGLIGIBLE * most
+    if not (known.any() and bow <= most and (bows or decays)):
         return out
     inverse = np.zeros_like(mean)
     inverse[known] = np.linalg.inv(mean[known])
     current = np.linspace(-_BEYOND, _BEYOND, _TABLE) * model.i_max
     drop = np.ascontiguousarray((model.shapes(current) @ estimate[model.phase_columns()]).T)
+    if not bows:
+        return _by_decay(windows, psi, turned, inverse, resistance, current, drop, delay)
     primitive = np.zeros_like(drop)
     primitive[:, 1:] = np.cumsum(0.5 * (drop[:, 1:] + drop[:, :-1]), axis=1) * (current[1] - current[0])
-    resistance, i_dq = float(estimate[RESISTANCE]), windows.measured
-    settled = _NEGLIGIBLE * (np.abs(drop).max() + abs(resistance) * np.abs(frames.as_pairs(i_dq)).max())
+    i_dq = windows.measured
+    settled = _SETTLED * (np.abs(drop).max() + abs(resistance) * np.abs(frames.as_pairs(i_dq)).max())
     _integrate(
         windows.angle[:, 0].copy(), turned, np.ascontiguousarray(i_dq), np.ascontiguousarray(psi), inverse, samples,
         windows.period, windows.drop_scale, resistance, step, current[0], current[1] - current[0], drop, primitive,
@@ -87,6 +107,49 @@ def between_samples(model: FullModel, estimate: FloatArray, windows: Windows, ps
     largest = np.abs(drop).max() + _BEYOND * abs(resistance) * model.i_max
     converged = np.abs(out) < largest * windows.duration  # else beyond the table and what it holds
     return np.where(known & converged, out, 0.0)
+
+
+def _by_decay(
+    windows: Windows, psi: ComplexArray, turned: FloatArray, inverse: FloatArray, resistance: float,
+    current: FloatArray, drop: FloatArray, delay: float,
+) -> ComplexArray:  # fmt: skip
+    """Return the integral (N,), Vs, by which resistive voltage and drop exceed those of straight currents.
+
+    A current with the second derivative i'' within a sample loses ``T^2 / 12`` times the integral of ``R i''``. It is
+    ``-f'^-1 (R i + h)'`` by decay, and ``w^2 (f'^-1 psi - i) - 2 w (f'^-1 j psi' - j i')`` by the rotation. For the
+    drop, changes of ``2 h`` stand for those of ``h`` in R and of ``R i`` in h; what is left lies within zero crossings,
+    and the curve takes it. Voltages that step within samples bend the current there instead.
+    """
+    place, held, duration = np.linspace(0.0, 1.0, _NODES), _held(delay), windows.duration[:, None]
+    speed = turned[:, None] / duration
+    i_dq, flux = (x[:, :1] + place * np.diff(x, axis=1) for x in (windows.measured, psi))
+    i_s = i_dq * np.exp(1j * (windows.angle[:, :1] + place * turned[:, None]))
+    drops = [np.interp(i, current, own) for i, own in zip(frames.phases(i_s.ravel()).T, drop, strict=True)]
+    lost = frames.space_vector(np.stack(drops, axis=-1)).reshape(i_s.shape) * windows.drop_scale[:, None]
+    middle = np.exp(1j * (windows.angle[:, :1] + 0.5 * (place[1:] + place[:-1]) * turned[:, None]))
+
+    def through(x: ComplexArray) -> ComplexArray:
+        return np.asarray(np.einsum("nab,nkb->nka", inverse, frames.as_pairs(x)) @ np.array([1.0, 1j]))
+
+    by_decay = through(np.diff(resistance * i_s + 2 * lost, axis=1) / middle)
+    (i_mean, flux_mean), steps = (0.5 * (x[:, 1:] + x[:, :-1]) for x in (i_dq, flux)), duration / (_NODES - 1)
+    rotated = speed**2 * steps * (through(flux_mean) - i_mean)
+    rotated = rotated - 2 * speed * (through(1j * np.diff(flux, axis=1)) - 1j * np.diff(i_dq, axis=1))
+    bent = held * np.sum(middle * (by_decay - rotated), axis=1) - (1 - held) * 1j * speed[:, 0] * (
+        i_s[:, -1] - i_s[:, 0]
+    )
+    return np.asarray(resistance * windows.period**2 / 12 * bent)
+
+
+def _held(delay: float) -> float:
+    """Return which share of the decay voltages with a delay, samples, leave: 1 if they step at the samples.
+
+    Of a log with every n-th sample, delayed by -(n - 1) / 2n, they step n times per sample, which leaves 1 / n^2.
+    """
+    if EARLIEST <= delay < 0:
+        return 1 / round(1 / max(1 + 2 * delay, TINY)) ** 2
+    step = delay % 1.0
+    return 1 - 6 * step * (1 - step)
 
 
 def _mean_inductances(model: FullModel, estimate: FloatArray, i_dq: FloatArray) -> FloatArray:
@@ -185,6 +248,7 @@ def _integrate(
     before = 0j
     for n in range(len(angle)):
         turn = turned[n] / samples[n]
+        swing[:] = 0.0
         for k in range(samples[n]):
             for side in range(2):
                 share = (k + side) / samples[n]
@@ -194,7 +258,7 @@ def _integrate(
                 i_s[side], chord[side] = rotor * ends[side], rotor * fluxes[side]
             if k % spaced == 0:
                 before = i_s[0]
-            swing[:] = 0.0
+            swing *= complex(math.cos(turn), math.sin(turn))  # about that of the sample before
             for _ in range(_ROUNDS):
                 change = _follow(
                     angle[n] + k * turn, turn, ends, fluxes, chord, inverse[n], period[n], resistance, drop_scale[n],

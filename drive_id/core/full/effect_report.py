@@ -137,6 +137,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             rivals=taken.rivals,
             open=_open(fit, taken.name),
             several_speeds=several,
+            fastest=float(np.abs(fit.assessment.speeds).max()),
             resistance=float(estimate[RESISTANCE]),
             inductance=float(slopes[0, 0, 0]),
             i_max=fit.model.i_max,

@@ -21,6 +21,7 @@ from drive_id.core.full.linearized import (
     EffectSearch,
     Taken,
     first_columns,
+    misfits,
     remains,
     settled,
     with_hidden_ripple,
@@ -54,6 +55,8 @@ _CLOSE, _INDIFFERENT = 0.05, 0.5 * _PRICE
 misfit of the map decides between the latter."""
 _FAR = 0.03
 """Angle, rad, by which late currents or a late angle turn the flux far enough for a linearization of their own."""
+_EVERY_SECOND = -0.25
+"""Delay, samples, of a log with every second sample."""
 _LATEST = 0.8
 """Of angle or currents at one speed, samples: there, a delay of the voltages looks alike, and is more usual."""
 _MOST_BY_PENALTY = 0.3
@@ -92,6 +95,7 @@ class _Rules:
     allowed: tuple[str, ...]
     turn: float  # electrical angle per sample, rad; 0: no delay is tried
     one_speed: bool
+    recordings: int
     least: float  # squared residuals that matter to nobody, and what the current does between samples, (Vs)^2
 
     def without(self, name: str) -> _Rules:
@@ -140,6 +144,7 @@ class _Search:
         if delay != self.usual:
             terms = 1 if (2 * delay).is_integer() else 2
         score = float(np.log(squares + self.rules.least)) + _PRICE * terms + sum(map(_price, sorted(names)))
+        score += max(self.rules.recordings - 2, 0) * sum(CATALOGUE[name].price_of_recording for name in sorted(names))
         return _Set(names, delay, squares, score, names | {DELAY} if terms else names)
 
     def alike(self, one: _Set, other: _Set) -> bool:
@@ -163,6 +168,8 @@ class _Search:
             return False
         members = names | {DELAY} if delay != self.usual else names
         if len(members & _LATE) > 1 or (self.rules.one_speed and len(members & _ROTATING) > 1):
+            return False
+        if self.rules.one_speed and any(CATALOGUE[name].of_speeds for name in names):
             return False
         found, most = self.subset(names), _LATEST * self.rules.noise.period
         if self.rules.one_speed and any(abs(found.value(name, delay)[0]) > most for name in names & _LATE):
@@ -240,10 +247,10 @@ def search_effects(
     first = settled(sums, plain, first_columns(sums, solution, noise, pole_pairs))
     own, rows = model.effect("remainder").start, max(solution.rows, 1.0)
     least = _LEAST_VOLTAGE**2 / _PRICE * rows * first.solver.total_voltage + float(first.solver.total[own, own])
-    rules = _Rules(
-        sums, plain, noise, tuple(allowed), turn, not several_speeds(noise.windows.speed.mean(axis=1)), least
-    )
-    state, chosen, search = _about_its_best(_about_lateness(first, rules), first, rules)
+    one_speed = not several_speeds(noise.windows.speed.mean(axis=1))
+    recordings = 1 + max(int(windows.recording.max()) for windows in sums.kept())
+    rules = _Rules(sums, plain, noise, tuple(allowed), turn, one_speed, recordings, least)
+    state, chosen, search = _about_its_best(_about_lateness(_about_decimation(first, rules), rules), first, rules)
     every = rules
     for number in count(1):
         state, chosen = _among_rivals(state, search, chosen)
@@ -264,6 +271,18 @@ def search_effects(
     extended = sums if not chosen.names and not remains(state.solver) else state.sums
     undecided = _undecided(search, chosen, max(state.solution.rows, 1.0))
     return replace(state, sums=extended, found=replace(state.found, taken=taken, delay=delay, undecided=undecided))
+
+
+def _about_decimation(first: EffectSearch, rules: _Rules) -> EffectSearch:
+    """Linearize about a log with every second sample, if that leaves less: its current decays less between samples.
+
+    About the fit without a delay, what that takes for decay hides the delay.
+    """
+    if not (rules.turn and remains(first.solver) and misfits(first.solver.model, first.solution, rules.noise)):
+        return first
+    other = settled(rules.sums, replace(rules.plain, delay=_EVERY_SECOND), first.found.columns)
+    left, by_other = (state.solver.delay(state.solver.solve(rules.plain))[2] for state in (first, other))
+    return other if by_other < (1 - _CLOSE) * left else first
 
 
 def _about_lateness(first: EffectSearch, rules: _Rules) -> EffectSearch:

@@ -63,7 +63,7 @@ def first_columns(
     """Return the columns about a fit without effects; default of the pole pairs: those that explain most."""
     model, windows = sums.model, Windows.joined(list(sums.kept()))
     mean, ripple = sums.mean_link, 0.0
-    if np.isnan(mean) and _misfits(model, solution, noise):
+    if np.isnan(mean) and misfits(model, solution, noise):
         ripple = ripple_frequency(model, solution.estimate, [windows])[0]
     columns = EffectColumns(model, solution.estimate, float(windows.heat.max()), mean, pole_pairs, ripple)
     if pole_pairs is not None:
@@ -121,7 +121,7 @@ def _attuned(columns: EffectColumns, model: FullModel, spec: ModelSpec, kept: Se
 def with_hidden_ripple(sums: WindowSums, state: EffectSearch, noise: CurrentNoise) -> EffectSearch:
     """Look again for a ripple of the DC link, whose frequency could not be found below a larger effect."""
     model, solution, columns = state.solver.model, state.solution, state.found.columns
-    if np.isfinite(columns.link) or "link_ripple" in solution.spec.effects or not _misfits(model, solution, noise):
+    if np.isfinite(columns.link) or "link_ripple" in solution.spec.effects or not misfits(model, solution, noise):
         return state
     ripple, share = ripple_frequency(model, solution.estimate, state.sums.kept())
     explains = share > _TRIED * beyond_noise(model, solution, noise)
@@ -133,8 +133,8 @@ def beyond_noise(model: FullModel, solution: FullSolution, noise: CurrentNoise) 
     return float(1.0 - noise.explained(model, solution) / max(solution.residual_rms**2, TINY))
 
 
-def _misfits(model: FullModel, solution: FullSolution, noise: CurrentNoise) -> bool:
-    """Tell whether to look for a ripple of the DC link, which takes as long as all other effects."""
+def misfits(model: FullModel, solution: FullSolution, noise: CurrentNoise) -> bool:
+    """Tell whether to look for what takes as long as all effects: a ripple of the DC link, a decimated log."""
     return solution.residual_rms**2 > LEAST_TOLD**2 * noise.explained(model, solution)
 
 

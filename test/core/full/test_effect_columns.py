@@ -176,6 +176,7 @@ CASES = {
     "dc_link": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 + x * 0.01 * np.cos(LINK_TURN * t))), 0.5),
     "link_sag": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 - x * power(t, u_s))), 1e-6),
     "phase_resistance": (0, unequal, 1e-3),
+    "skin_effect": (0, lambda x: Drive(resistive=lambda _, i_s: (R + x * (1e-3 * SPEED) ** 2) * i_s), 1e-3),
     "drop_asymmetry": (1, lopsided, 0.05),
     "voltage_gains": (0, lambda x: Drive(logged=lambda _, u_s: u_s - x * u_s.conj()), 1e-3),
     "voltage_gains, imaginary": (1, lambda x: Drive(logged=lambda _, u_s: u_s - 1j * x * u_s.conj()), 1e-3),

@@ -9,6 +9,7 @@ from drive_id.core.full.effects.link import DcLink, LinkRipple, LinkSag
 from drive_id.core.full.effects.phases import DropAsymmetry, PhaseResistance, VoltageGains
 from drive_id.core.full.effects.resolver import Eccentricity, EccentricRotor, ResolverOrder
 from drive_id.core.full.effects.sensors import CurrentGains, CurrentOffset, CurrentRotation
+from drive_id.core.full.effects.skin import SkinEffect
 from drive_id.core.full.effects.timing import CurrentLatency, FluxLag, Latency, LongFluxLag
 from drive_id.core.full.windows import LAGS
 
@@ -34,6 +35,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         LinkRipple("link_ripple"),
         LinkSag("link_sag"),
         PhaseResistance("phase_resistance"),
+        SkinEffect("skin_effect"),
         DropAsymmetry("drop_asymmetry"),
         VoltageGains("voltage_gains"),
         CurrentRotation("current_rotation", "rad", slice(0, 1)),

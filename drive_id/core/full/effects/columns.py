@@ -55,7 +55,7 @@ class EffectColumns:
     def _remainder(self, at: Linearized) -> ComplexArray:
         """Return what the columns leave of the flux (N,) at the estimate, and what the current does between samples."""
         windows, i_dq = at.windows, _as_complex(at.windows.i_dq)
-        remainder = between_samples(self.model, self.estimate, windows, at.psi)
+        remainder = between_samples(self.model, self.estimate, windows, at.psi, at.delay)
         shift, error = self._shift(at), self._turned(at)
         for name, value in self._present():
             shift = shift + CATALOGUE[name].magnetizing(at, value)

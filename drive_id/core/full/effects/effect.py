@@ -106,6 +106,7 @@ class Reported:
     rivals: tuple[str, ...]
     open: bool  # whether one of them would change what users read
     several_speeds: bool
+    fastest: float  # largest electrical speed, rad/s
     resistance: float  # ohm
     inductance: float  # d psi_d / d i_d at zero current, H
     i_max: float
@@ -161,6 +162,8 @@ class DriveEffect(ABC):
     """Whether it depends on the number of a recording or a run, or on the time since the start."""
     of_sensors: ClassVar[bool] = False
     """Whether it is of the current sensors, not of the drive."""
+    of_speeds: ClassVar[bool] = False
+    """Whether it shows only where speeds differ."""
     of_recorded_runs: ClassVar[bool] = False
     """Whether its phase holds for the recorded runs only, so that no simulation can have it."""
     beside: ClassVar[str] = ""
@@ -169,6 +172,8 @@ class DriveEffect(ABC):
     """Physical cause that it shares with others, which are no rivals."""
     price: ClassVar[float] = 0.0
     """Share of the squared residuals that it must save beyond what each effect must: others would be it."""
+    price_of_recording: ClassVar[float] = 0.0
+    """The same for each recording beyond the second: it has an unknown of its own, where another effect has one."""
     harmonic: ClassVar[int] = 0
     """Order of the flux that it causes, and that is none of the machine beside it."""
 

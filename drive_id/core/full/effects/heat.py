@@ -47,7 +47,8 @@ class CopperRecordings(DriveEffect):
     """R of each recording minus that of the first: ``int i_s``."""
 
     width = MOST_RECORDINGS - 1
-    at_rest, of_recordings = True, True
+    at_rest, of_recordings, cause = True, True, "resistance"
+    price_of_recording = 2e-3  # what a resistance that rises with the speed explains is that
 
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return 1 < known.recordings <= MOST_RECORDINGS and not known.temperatures

@@ -21,7 +21,7 @@ from drive_id.web.page import archive_page, write_page
 
 pytestmark = pytest.mark.browser
 
-CELLS = "return [...document.querySelectorAll('#body tr')].map((row) => row.cells[arguments[0]].textContent)"
+CELLS = "return [...document.querySelectorAll('#body tr')].map((row) => row.cells[arguments[0]].innerText)"
 POINTS = """
 const told = (circle) => [circle.textContent, circle.cy.baseVal.value];
 return [...document.querySelectorAll('#trends svg')].map((s) => [...s.querySelectorAll('circle')].map(told));
@@ -115,6 +115,15 @@ def test_the_trend_holds_the_results_of_one_serial_number(opened, results):
     assert [text.split(": ")[0] for text, _ in psi] == ["2026-05-01 10:00", "2026-05-02 10:00"]
     assert psi[0][1] > psi[1][1], "more flux is further up"
     assert str(next(q for q in results.found[0].headline if q.name == "R")) in resistance[0][0]
+    ticks, index = opened.execute_script(
+        "const svg = document.querySelector('#trends svg'), at = (text) => text.getAttribute('text-anchor') === 'end';"
+        "return [[...svg.querySelectorAll('text')].filter(at).map((text) => text.textContent),"
+        "svg.querySelector('text tspan').textContent]"
+    )
+    steps = np.diff([float(text) for text in ticks[:-1]])  # the last one is of the time
+    assert f"{steps[0]:.1e}"[:3] in {"1.0", "2.0", "5.0"}
+    np.testing.assert_allclose(steps, steps[0])
+    assert index == "PM"
 
 
 def test_a_phone_scrolls_in_one_direction_and_the_keyboard_reaches_everything(opened):
@@ -122,6 +131,8 @@ def test_a_phone_scrolls_in_one_direction_and_the_keyboard_reaches_everything(op
 
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", NARROW)
     tick(opened, "day 1", "day 2")
+    names = "return [...document.querySelectorAll('#body tr:first-child .name')].map((name) => name.innerHTML)"
+    assert "ψ<sub>PM</sub>" in opened.execute_script(names)
     opened.execute_script("document.querySelector('#group option').textContent = 'A long name, '.repeat(9)")
     wait_for(opened, "return document.documentElement.scrollWidth <= 400")
     opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

@@ -131,7 +131,7 @@ def test_a_phone_scrolls_in_one_direction_and_the_keyboard_reaches_everything(op
 
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", NARROW)
     tick(opened, "day 1", "day 2")
-    names = "return [...document.querySelectorAll('#body tr:first-child .name')].map((name) => name.innerHTML)"
+    names = "return [...document.querySelectorAll('#body tr:first-child .column')].map((name) => name.innerHTML)"
     assert "ψ<sub>PM</sub>" in opened.execute_script(names)
     opened.execute_script("document.querySelector('#group option').textContent = 'A long name, '.repeat(9)")
     wait_for(opened, "return document.documentElement.scrollWidth <= 400")
@@ -169,6 +169,9 @@ def lines_of(fitted):
         view.health("/identification", 0, "Fits.", values | {"fit: sigma of resistance [ohm]": str(2e-4 / k**0.5)}, k)
     yield view.take()
     view.state("publisher", {"state": "tripped", "reason": "The drive was lost.", "elapsed": 4.0, "duration": 10.0})
+    yield view.take()
+    ended = {"state": "idle", "reason": "", "dry_run": False, "elapsed": 0.0, "duration": 10.0, "completed": True}
+    view.state("publisher", ended)
     yield view.take()
 
 
@@ -220,6 +223,11 @@ def test_the_live_page_follows_an_experiment(browser, live):
     live.go.write_text("12")
     wait_for(browser, "return !document.getElementById('safety').hidden")
     assert element(browser, "safety").text == "The publisher tripped: The drive was lost."
+    shown = [name.text for name in browser.find_elements("css selector", ".figures .name")]
+    assert shown == ["Publisher", "Drive", "R", "ψPM", "Inverter drop"]
+    live.go.write_text("123")
+    wait_for(browser, "return document.getElementById('publisher').innerText.includes('finished')")
+    assert "10 of 10 s" in element(browser, "publisher").text
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", NARROW)
     wait_for(browser, "return document.documentElement.scrollWidth <= 400")
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
@@ -227,7 +235,7 @@ def test_the_live_page_follows_an_experiment(browser, live):
     check_quiet(browser, (live.url, "data:"))
     live.stop()
     wait_for(browser, "return document.getElementById('link').textContent.startsWith('The server does not answer')")
-    assert "tripped" in element(browser, "publisher").text, "what was known stays"
+    assert "finished" in element(browser, "publisher").text, "what was known stays"
     browser.get("about:blank")
     browser.get_log("browser")  # which holds that the server went
     browser.get_log("performance")

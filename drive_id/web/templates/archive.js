@@ -19,7 +19,7 @@
   const named = (row) => [row.machine || row.folder, row.serial, (row.date ?? "").slice(0, 10)].filter(Boolean).join(", ");
   const text = (row) => [row.date, row.machine, row.serial, row.method, row.folder, row.error].filter(Boolean).join(" ").toLowerCase();
 
-  const label = (name) => made("span", { class: "name" }, ...symbol(name));  // beside a value, where the page is narrow
+  const label = (name) => made("span", { class: "column" }, ...symbol(name));  // beside a value, where the page is narrow
 
   function cell([name, value, written], row) {
     const content = name === "Folder" && row.report ? made("a", { href: `${encodeURI(row.folder)}/report.html` }, row.folder)

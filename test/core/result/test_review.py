@@ -234,5 +234,5 @@ def test_an_angle_far_off_is_refused_where_symmetry_shows_it(plain):
     """30 or 89 degrees would give a map that is wrong by 25 to 77 %; a half turn only changes its sign."""
     for degrees in (30.0, 89.0):
         turned = replace(plain, angle=plain.angle + np.deg2rad(degrees))
-        with pytest.raises(DataError, match=r"mirror-symmetric.*add -\d\.\d+ rad to the angle"):
+        with pytest.raises(DataError, match=r"mirror-symmetric.*Add -\d\.\d+ rad to the angle"):
             identify([turned], FULL)

@@ -12,6 +12,7 @@ from exact_results import exact_result
 
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.result.headline import headline, slopes
+from drive_id.quantity import measured
 from drive_id.types import MachineMap
 
 PSI_PM, L_D, L_Q, I_MAX, PAIRS = 0.066, 1.5e-4, 3.6e-4, 100.0, 4
@@ -173,3 +174,7 @@ def test_a_rated_current_is_where_loaded_values_are_told(drive):
     assert found["Torque per A at 60 A, MTPA"].value == pytest.approx(torque / 60.0, rel=1e-6)
     assert "Torque at i_max, MTPA" in found
     assert named(drive, rated=99.0).keys() == named(drive).keys()  # beyond where slopes are known
+
+
+def test_an_offset_of_a_current_is_told_in_the_unit_of_the_currents(drive):
+    assert measured(1.1e-4, 9.3e-4, "A", drive.sizes["A"]) == "0.00011 ± 0.00093 A"

@@ -1,4 +1,4 @@
-"""The error tree: each message is one sentence that says what is wrong, where, and what to do.
+"""The error tree: each message is one line that says what is wrong, where, and what to do.
 
 ``code`` is the stable, machine-readable kind of error: services return it, ``--json`` prints it. Bad input raises
 nothing but a :class:`DriveIdError`; any other exception is a bug in drive_id.

@@ -91,7 +91,7 @@ def measured(value: float, sigma: float = math.nan, unit: str = "", size: float 
     value, sigma = value * factor, sigma * factor
     if known:
         digits = 1 - _order(sigma, 2)
-        shown = (f"{round(number, digits):.{max(0, digits)}f}" for number in (value, sigma))
+        shown = (f"{round(number, digits) + 0.0:.{max(0, digits)}f}" for number in (value, sigma))
         text = " ± ".join(shown)
     else:
         text = rounded(value)

@@ -97,6 +97,20 @@ def test_links_lead_somewhere(page):
     assert [target for target in targets if not (page.parent / target).exists()] == []
 
 
+@pytest.mark.parametrize(
+    "page", [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))], ids=lambda page: page.name
+)
+def test_no_sentence_has_more_than_35_words(page):
+    """Of a page of the site; a cell of a table and an item of a list are sentences of their own."""
+    left_out = r"(?ms)\A---.*?^---$|<!-- .*?<!-- End -->|```.*?```|^ {4}[^\n]*|!\[.*?\]"
+    text = re.sub(left_out, "", page.read_text(encoding="utf-8"))
+    text = re.sub(r"`[^`]*`|\$[^$]*\$", "x", text)
+    for part in re.split(r"\n\s*\n|\n\s*(?:[-*]|\d+\.) |\|", text):
+        for sentence in re.split(r"(?<=[.!?])[*”)]*\s+", " ".join(part.split())):
+            words = [word for word in sentence.split() if re.search(r"\w", word)]
+            assert len(words) <= 35, sentence
+
+
 def test_links_are_called_by_titles():
     pages = (page for page in OF_TODAY if page.is_relative_to(ROOT / "docs"))
     named = [(page.name, name) for page in pages for name in re.findall(r"\[(\w+\.md)\]", page.read_text("utf-8"))]

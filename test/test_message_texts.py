@@ -117,6 +117,26 @@ def test_each_is_used_and_a_whole_sentence(key):
     assert "  " not in text
 
 
+def longest(template: str) -> str:
+    """Return the longest wording of a template, a value being one word."""
+
+    def filled(field: re.Match[str]) -> str:
+        name, _, spec = field[1].partition(":")
+        if spec.startswith("?"):
+            return max(spec[1:].partition("//")[::2], key=len)
+        return CATALOGUE["clause"].get(name) or "9 " + spec.partition("# ")[2].partition("//")[0]
+
+    while "{" in template:
+        template = re.sub(r"\{([^{}]*)\}", filled, template)
+    return template
+
+
+@pytest.mark.parametrize("key", TEMPLATES)
+def test_no_sentence_has_more_than_35_words(key):
+    for sentence in re.split(r"(?<=[.!?])\s+(?=[A-Z])", longest(TEMPLATES[key])):
+        assert len(re.findall(r"\S*\w\S*", sentence)) <= 35, sentence
+
+
 def test_every_key_in_the_code_is_in_the_catalogue():
     keys = {
         node.args[0].value

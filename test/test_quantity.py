@@ -81,3 +81,7 @@ def test_both_numbers_are_rounded_to_two_digits_of_the_error(size, share, sign):
     coarse = shown_sigma.adjusted() > exact.adjusted()  # 0.0996 is 0.10
     assert abs(shown_value - Decimal(value)) <= step * (10 if coarse else 1) * Decimal("0.5001")
     assert 1 <= max(abs(shown_value), shown_sigma) / scale < 1001
+
+
+def test_what_rounds_to_zero_has_no_sign():
+    assert measured(-1e-5, 1e-3, "A", 100.0) == "0.0000 ± 0.0010 A"

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     name="drive-id",
     help="Identify flux maps, resistance and inverter voltage error of electric drives from ROS 2 bags.",
-    epilog="Exit codes: 0 done, 1 bad input (one sentence says what), 2 wrong usage, 3 verification not passed.",
+    epilog="Exit codes: 0 done, 1 bad input (one line says what), 2 wrong usage, 3 verification not passed.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,

@@ -17,6 +17,8 @@ _MOST_POINTS = 2000
 """Points between two looks: 40 s of them."""
 _SILENT = 5.0
 """Time without news, s, after which a node or the drive is called silent; each tells of itself every second."""
+_I_MAX = "i_max [A]"
+"""Name of the radius of the disc among the diagnostics of the publisher."""
 _CELLS = 24
 """Cells of the coloured disc from zero to i_max."""
 _WANTED = 0.01
@@ -76,6 +78,7 @@ class LiveView:
     _health: dict[str, Any] = field(default_factory=dict)
     _heard: dict[str, float] = field(default_factory=dict)
     _silent: list[str] = field(default_factory=list)
+    _requested: bool = False  # the map is that of a requested fit, which holds until the next run
 
     def point(self, i_d: float, i_q: float, speed: float) -> None:
         """Take an operating point: A, electrical rad/s."""
@@ -85,14 +88,18 @@ class LiveView:
     def state(self, name: str, values: dict[str, Any], time: float | None = None) -> None:
         """Take the present state of a node or of the drive, with the time, s, if it tells it again and again."""
         self._new[name] = plain(values)
+        if name == "publisher" and values["state"] != "idle":
+            self._requested = False
         if time is not None:
             self._heard[f"the {name}"] = time
 
     def health(self, node: str, level: int, message: str, values: dict[str, str], time: float) -> None:
-        """Take a diagnostic status, and the estimate of R that the identification node puts there."""
+        """Take a diagnostic status, with i_max of the publisher, and the estimate of R of the identification node."""
         self._health[node] = {"level": level, "message": message}
         self._heard[node] = time
         self._new["nodes"] = self._health
+        if _I_MAX in values:
+            self._new["i_max"] = float(values[_I_MAX])
         wanted = ("fit: samples", "fit: resistance [ohm]", "fit: sigma of resistance [ohm]")
         if not all(name in values for name in wanted):
             return
@@ -107,7 +114,13 @@ class LiveView:
         self._new["resistance"] = plain({"estimates": told, "unit": unit, "forecast": forecast(self._estimates, time)})
 
     def flux_map(self, message: Any) -> None:
-        """Take a map, an object with the fields of ``drive_id_msgs/FluxMap``: cells with data, and quantities."""
+        """Take a map, an object with the fields of ``drive_id_msgs/FluxMap``: cells with data, and quantities.
+
+        After a requested fit, the provisional maps of the same samples are left out until the next run.
+        """
+        if message.provisional and self._requested:
+            return
+        self._requested = not message.provisional
         axes = (np.asarray(message.i_d), np.asarray(message.i_q))
         turning = message.method not in ORIGINS or ORIGINS[message.method].turning
         names, shape = ("psi_d", "psi_q", "sigma_d", "sigma_q", "inside"), tuple(map(len, axes))

@@ -25,7 +25,7 @@ from drive_id.nodes.support.runtime import run
 _PERIOD = 0.2  # s between lines
 _HEARTBEAT = 2.0  # s after which a line comes although nothing is new
 _STATES = {
-    "publisher": ("state", "reason", "dry_run", "elapsed", "duration", "coverage"),
+    "publisher": ("state", "reason", "dry_run", "elapsed", "duration", "coverage", "completed"),
     "drive": ("enabled", "fault", "speed", "dc_link_voltage", "winding_temperature"),
 }
 

@@ -58,7 +58,8 @@ def fit_table(fit: Result, *, verbose: bool = False) -> Table:
         row("NRMSE of ψ_d / ψ_q", " / ".join(f"{100 * value:.3f} %" for value in known.nrmse))
     if origin.diagnostics:
         row(
-            "Mean error of simulated i_d / i_q", " / ".join(_deviation(value) for value in (report.mad_d, report.mad_q))
+            "Mean error of simulated i_d / i_q",
+            " / ".join(_deviation(fit, value) for value in (report.mad_d, report.mad_q)),
         )
     if origin.fitted:
         row("Residual, rms over a sample", measured(report.residual_rms, unit="V"))
@@ -111,9 +112,9 @@ def shaft_rows(mechanics: Mechanics) -> list[tuple[str, str]]:
     return [(name, measured(x, sigma, unit)) for name, x, sigma, unit in terms if x is not None and sigma is not None]
 
 
-def _deviation(value: float) -> str:
+def _deviation(fit: Result, value: float) -> str:
     """Return a mean deviation of the simulated current, A; NaN tells that the simulation diverged."""
-    return "diverged" if math.isnan(value) else measured(value, unit="A")
+    return "diverged" if math.isnan(value) else fit.told(value, math.nan, "A")
 
 
 def _experiment(fit: Result) -> list[str]:

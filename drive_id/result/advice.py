@@ -14,7 +14,7 @@ _ONE_SPEED = 0.1
 """Relative range of the speeds below which they count as one."""
 _COVERED = 0.95
 """Share of the disc from which more data are not asked for."""
-USUAL = frozenset({"common_gain", "harmonics", "linear_drop", "region", "separation"})
+USUAL = frozenset({"common_gain", "harmonics", "linear_drop", "no_checksums", "region", "separation"})
 """Codes of statements that ask for no decision: they hold for every fit, or the table and the advice tell the same."""
 
 

@@ -116,5 +116,5 @@ def test_an_information_file_keeps_what_it_was_checked_for(tmp_path):
 def test_other_methods_name_it_and_it_refuses_a_turning_rotor():
     with pytest.raises(StandstillError, match="choose method locked"):
         drive_id.fit(recorded("ipm"))
-    with pytest.raises(DataError, match="it was not locked at one position: clamp it"):
+    with pytest.raises(DataError, match=r"it was not locked at one position\. Clamp it"):
         drive_id.fit(simulate("ipm", 1.0), settings=LOCKED)

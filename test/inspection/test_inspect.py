@@ -435,6 +435,8 @@ def test_angles_and_counts():
     assert angle_like(np.mod(0.011 * k, 1.0)).unit == "rev"
     found = angle_like(np.floor(np.mod(17.3 * k, 4096)))
     assert (found.unit, found.turn, found.certain) == ("counts", 4096, True)
+    assert angle_like(np.mod(17.3 * k, 4096)).unit == "counts"  # resampled, with fractions
+    assert angle_like(np.mod(3.7 * k, 1000.0)) is None  # milliseconds of a second
     once = angle_like(np.floor(np.mod(17.3 * k + 40_000, 65_536)))
     assert (once.unit, once.turn, once.wraps, once.certain) == ("counts", 65_536, True, True)
     assert angle_like(np.floor(17.3 * k) - 30_000 * (k > 2000)) is None  # a fall that no counter makes

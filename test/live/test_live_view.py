@@ -55,6 +55,23 @@ def test_health_of_the_identification_gives_estimates_once_for_each_fit():
     assert len(status(500, 4.0)["resistance"]["estimates"]) == 1, "another experiment"
     view.health("/recorder", 1, "Samples are missing.", {}, 5.0)
     assert "resistance" not in view.take()
+    view.health("/trajectory_publisher", 0, "Waiting for a start.", {"i_max [A]": "300"}, 6.0)
+    assert view.take()["i_max"] == 300.0
+
+
+def test_the_map_of_a_requested_fit_holds_until_the_next_run(fitted):
+    view, provisional = LiveView(), message(fitted)
+    requested = SimpleNamespace(**{**vars(provisional), "provisional": False, "method": "full"})
+    view.flux_map(provisional)
+    view.flux_map(requested)
+    view.flux_map(provisional)
+    assert view.take()["map"]["method"] == "full"
+    view.state("publisher", {"state": "idle"})
+    view.flux_map(provisional)
+    assert "map" not in view.take()
+    view.state("publisher", {"state": "running"})
+    view.flux_map(provisional)
+    assert view.take()["map"]["method"] == "joint"
 
 
 def message(fitted):

@@ -241,7 +241,12 @@ def test_a_full_result_shows_bands_phases_and_faults(page_of_full):
     assert "Record longer: " in text
     assert "What would help most" not in text
     (row,) = (row for row in page.by_id("identifiable").all("tr") if "resolver offset" in row.text())
-    assert [cell.text() for cell in row.children] == ["resolver offset", "0.573 ± 0.057 °", "corrected"]
+    assert [cell.texts[-1].replace("\xa0", " ") for cell in row.children] == [
+        "resolver offset",
+        "0.573 ± 0.057 °",
+        "corrected",
+    ]
+    assert [name.text() for name in row.all("span")] == ["Value", "In the map"]
     assert [entry["name"] for entry in page.data("charts")["comparison"]["methods"]] == ["psm", "joint"]
 
 

@@ -21,7 +21,7 @@ from drive_id.web.page import archive_page, write_page
 
 pytestmark = pytest.mark.browser
 
-CELLS = "return [...document.querySelectorAll('#body tr')].map((row) => row.cells[arguments[0]].textContent)"
+CELLS = "return [...document.querySelectorAll('#body tr')].map((row) => row.cells[arguments[0]].innerText)"
 POINTS = """
 const told = (circle) => [circle.textContent, circle.cy.baseVal.value];
 return [...document.querySelectorAll('#trends svg')].map((s) => [...s.querySelectorAll('circle')].map(told));
@@ -115,6 +115,15 @@ def test_the_trend_holds_the_results_of_one_serial_number(opened, results):
     assert [text.split(": ")[0] for text, _ in psi] == ["2026-05-01 10:00", "2026-05-02 10:00"]
     assert psi[0][1] > psi[1][1], "more flux is further up"
     assert str(next(q for q in results.found[0].headline if q.name == "R")) in resistance[0][0]
+    ticks, index = opened.execute_script(
+        "const svg = document.querySelector('#trends svg'), at = (text) => text.getAttribute('text-anchor') === 'end';"
+        "return [[...svg.querySelectorAll('text')].filter(at).map((text) => text.textContent),"
+        "svg.querySelector('text tspan').textContent]"
+    )
+    steps = np.diff([float(text) for text in ticks[:-1]])  # the last one is of the time
+    assert f"{steps[0]:.1e}"[:3] in {"1.0", "2.0", "5.0"}
+    np.testing.assert_allclose(steps, steps[0])
+    assert index == "PM"
 
 
 def test_a_phone_scrolls_in_one_direction_and_the_keyboard_reaches_everything(opened):
@@ -122,6 +131,8 @@ def test_a_phone_scrolls_in_one_direction_and_the_keyboard_reaches_everything(op
 
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", NARROW)
     tick(opened, "day 1", "day 2")
+    names = "return [...document.querySelectorAll('#body tr:first-child .column')].map((name) => name.innerHTML)"
+    assert "ψ<sub>PM</sub>" in opened.execute_script(names)
     opened.execute_script("document.querySelector('#group option').textContent = 'A long name, '.repeat(9)")
     wait_for(opened, "return document.documentElement.scrollWidth <= 400")
     opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
@@ -158,6 +169,9 @@ def lines_of(fitted):
         view.health("/identification", 0, "Fits.", values | {"fit: sigma of resistance [ohm]": str(2e-4 / k**0.5)}, k)
     yield view.take()
     view.state("publisher", {"state": "tripped", "reason": "The drive was lost.", "elapsed": 4.0, "duration": 10.0})
+    yield view.take()
+    ended = {"state": "idle", "reason": "", "dry_run": False, "elapsed": 0.0, "duration": 10.0, "completed": True}
+    view.state("publisher", ended)
     yield view.take()
 
 
@@ -209,6 +223,11 @@ def test_the_live_page_follows_an_experiment(browser, live):
     live.go.write_text("12")
     wait_for(browser, "return !document.getElementById('safety').hidden")
     assert element(browser, "safety").text == "The publisher tripped: The drive was lost."
+    shown = [name.text for name in browser.find_elements("css selector", ".figures .name")]
+    assert shown == ["Publisher", "Drive", "R", "ψPM", "Inverter drop"]
+    live.go.write_text("123")
+    wait_for(browser, "return document.getElementById('publisher').innerText.includes('finished')")
+    assert "10 of 10 s" in element(browser, "publisher").text
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", NARROW)
     wait_for(browser, "return document.documentElement.scrollWidth <= 400")
     browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
@@ -216,7 +235,7 @@ def test_the_live_page_follows_an_experiment(browser, live):
     check_quiet(browser, (live.url, "data:"))
     live.stop()
     wait_for(browser, "return document.getElementById('link').textContent.startsWith('The server does not answer')")
-    assert "tripped" in element(browser, "publisher").text, "what was known stays"
+    assert "finished" in element(browser, "publisher").text, "what was known stays"
     browser.get("about:blank")
     browser.get_log("browser")  # which holds that the server went
     browser.get_log("performance")

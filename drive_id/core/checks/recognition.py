@@ -18,6 +18,8 @@ _STEADY = 0.9  # share of steps in one direction where the column wraps: noise r
 _MONOTONE = 0.98  # the same where it does not, which drifts of other signals do, too
 _UNEVEN = 20  # largest over median step of an angle without wraps
 _MANY = 1000  # range from which on whole numbers are counts
+_EXACT = 5e-4
+"""Relative difference of a turn from usual counts, up to which counts may have fractions, as in a resampled log."""
 _UNITS = ((2 * np.pi, "rad", 0.02), (360.0, "deg", 0.02), (1.0, "rev", 0.02))
 _FULL_COUNTS = (
     *(4 * lines for lines in (500, 600, 720, 900, 1000, 1250, 1500, 2000, 2500, 3600, 4000, 5000, 10_000)),
@@ -83,7 +85,7 @@ def _in_unit(turn: float, x: FloatArray) -> AngleLike | None:
     for value, name, tolerance in _UNITS:
         if abs(turn / value - 1) < tolerance and not (whole and name == "rad"):
             return AngleLike(name, value, wraps=True, certain=True)
-    if whole and turn > _FEWEST:
+    if turn > _FEWEST and (whole or any(abs(count / turn - 1) < _EXACT for count in _FULL_COUNTS)):
         reach = float(x.max()) + 1 - min(float(x.min()), 0.0)
         near = [count for count in _FULL_COUNTS if abs(count / turn - 1) < 0.02 and count >= reach - 1]
         best = min(near, key=lambda count: abs(count - turn), default=round(reach))

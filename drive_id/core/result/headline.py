@@ -24,6 +24,7 @@ _RADII = (1.0, 0.98, 0.95, 0.9, 0.8, 0.7, 0.6, 0.5)
 _SLOPES = 0.95
 """The largest of these for inductances: nearer to the edge of the data, slopes are off by up to 5 %."""
 _ENCLOSED = " No sample lies there: the map and its error follow from those around."
+_BESIDE = " The data end beside it: the map and its error are continued by one grid step."
 _WORST = 0.5
 """Standard error of a value, relative, beyond which its note says so."""
 
@@ -68,7 +69,9 @@ def _at_zero_current(drive: IdentifiedDrive) -> tuple[Quantity, ...]:
         sigmas = (linear.sigma_psi_pm, linear.sigma_l_d, linear.sigma_l_q)
         rows = zip(names, values, sigmas, ("Wb", "H", "H"), strict=True)
         return tuple(Quantity(*row) for row in rows if math.isfinite(row[2]))
-    tried = ((_Local.at(drive, 0.0, 0.0, usable), said) for usable, said in _usable(drive))
+    usable = _usable(drive)
+    told = [(0, *each) for each in usable] + [(1, each, _BESIDE) for each, said in usable if said]
+    tried = ((_Local.at(drive, 0.0, 0.0, where, beyond), said) for beyond, where, said in told)
     local, said = next(filter(lambda each: each[0] is not None, tried), (None, ""))
     if local is None:
         return ()
@@ -141,13 +144,14 @@ class _Local:
     slope_changes: FloatArray  # (2, M), H
 
     @classmethod
-    def at(cls, drive: IdentifiedDrive, i_d: float, i_q: float, usable: BoolArray) -> _Local | None:
+    def at(cls, drive: IdentifiedDrive, i_d: float, i_q: float, usable: BoolArray, beyond: int = 0) -> _Local | None:
         """Evaluate the polynomial through usable grid points that encloses a current; None where there is none.
 
-        Of all such polynomials, the one whose points lie most evenly around the current. ``usable`` is (D, Q).
+        Of all such polynomials, the one whose points lie most evenly around the current, which may lie up to ``beyond``
+        grid steps outside of them. ``usable`` is (D, Q).
         """
         found, modes = drive.flux_map, drive.error_modes
-        starts_d, starts_q = (_starts(axis, x) for axis, x in ((found.i_d, i_d), (found.i_q, i_q)))
+        starts_d, starts_q = (_starts(axis, x, beyond) for axis, x in ((found.i_d, i_d), (found.i_q, i_q)))
         pairs = sorted((d_off + q_off, m, n) for d_off, m in starts_d for q_off, n in starts_q)
         for _, m, n in pairs:
             at = np.s_[..., m : m + _NODES, n : n + _NODES]
@@ -214,13 +218,12 @@ def _sigma(changes: FloatArray) -> float:
     return float(np.linalg.norm(changes)) if len(changes) else math.nan
 
 
-def _starts(axis: FloatArray, x: float) -> list[tuple[float, int]]:
-    """Return the first of each run of grid points that encloses a current, after its distance from the middle."""
-    cell = min(max(int(np.searchsorted(axis, x, side="right")) - 1, 0), len(axis) - 2)
-    runs = range(max(0, cell + 2 - _NODES), min(cell, len(axis) - _NODES) + 1)
-    if not axis[0] <= x <= axis[-1]:
-        return []
-    return [(abs(float(axis[k : k + _NODES].mean()) - x), k) for k in runs] if len(axis) > _NODES else [(0.0, 0)]
+def _starts(axis: FloatArray, x: float, beyond: int) -> list[tuple[float, int]]:
+    """Return the first of each run of grid points up to ``beyond`` steps from a current, after its distance from it."""
+    several, reach = min(_NODES, len(axis)), beyond * float(axis[1] - axis[0])
+    first, last = axis[: len(axis) - several + 1], axis[several - 1 :]
+    runs = np.flatnonzero((first - reach <= x) & (x <= last + reach))
+    return [(abs(float(axis[k : k + several].mean()) - x), int(k)) for k in runs]
 
 
 def _weights(axis: FloatArray, x: float) -> tuple[FloatArray, FloatArray]:

@@ -399,7 +399,7 @@ class IdentifiedDrive(Parameters):
 
     @cached_property
     def sizes(self) -> dict[str, float]:
-        """Sizes by SI unit, of this drive's fluxes, inductances and R, by which all values of a kind have one unit."""
+        """Sizes by SI unit, of this drive's fluxes, R and so on, by which all values of a kind have one unit."""
         found = self.flux_map
         i_d, i_q = found.grid()[found.inside].T
         slopes = found.inductances(i_d, i_q)
@@ -407,6 +407,7 @@ class IdentifiedDrive(Parameters):
         known = steepest[np.isfinite(steepest)]
         inductance = float(np.median(known)) if known.size else 0.0
         sizes = {"Wb": found.largest, "Wb/K": found.largest, "H": inductance, "Ω": abs(self.resistance)}
+        sizes |= {"A": self.i_max, "V": abs(self.voltage_error)}
         return {unit: size for unit, size in sizes.items() if size > 0}
 
     @property

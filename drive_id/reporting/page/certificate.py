@@ -73,22 +73,23 @@ def certificate(result: Result, found: Verification, judged: Sequence[Judgement]
         verdict=verdict(judged).partition(": ")[2],
         facts=facts,
         rows=[row(entry) for entry in judged],
-        picture=base64.b64encode(rendered(_picture(found, result.i_max), dpi=110)).decode(),
+        pictures={
+            axis: base64.b64encode(rendered(_picture(found, result.i_max, axis), dpi=110)).decode() for axis in "dq"
+        },
         note=_METHOD,
     )
 
 
-def _picture(found: Verification, i_max: float) -> Figure:
-    figure = Figure(figsize=(8.6, 3.5))
-    percent = 100 * found.difference / found.largest
-    for column, axis in enumerate("dq"):
-        panel, colours = place(figure, 0.75 + 4.2 * column, 0.5, 2.6, 2.6), percent[:, column]
-        i_d, i_q = found.i_dq.T
-        drawn = panel.scatter(i_d, i_q, 90, colours, marker="s", cmap="RdBu_r", vmin=-_WIDEST, vmax=_WIDEST)
-        panel.add_patch(Circle((0, 0), i_max, fill=False, linewidth=0.8))
-        panel.set(xlim=(-1.05 * i_max, 1.05 * i_max), ylim=(-1.05 * i_max, 1.05 * i_max))
-        name_currents(panel, f"{PSI[axis]}, % of the largest flux")
-        below, above = bool((colours < -_WIDEST).any()), bool((colours > _WIDEST).any())
-        extend = "both" if below and above else "min" if below else "max" if above else "neither"
-        add_colour_bar(panel, drawn, levels(-_WIDEST, _WIDEST, 8), extend=extend)
+def _picture(found: Verification, i_max: float, axis: str) -> Figure:
+    figure = Figure(figsize=(4.3, 3.5))
+    panel, colours = place(figure, 0.75, 0.5, 2.6, 2.6), 100 * found.difference[:, "dq".index(axis)] / found.largest
+    i_d, i_q = found.i_dq.T
+    drawn = panel.scatter(i_d, i_q, 90, colours, marker="s", cmap="RdBu_r", vmin=-_WIDEST, vmax=_WIDEST)
+    drawn.set_edgecolor("0.6")  # cells without a difference are white as the page is
+    panel.add_patch(Circle((0, 0), i_max, fill=False, linewidth=0.8))
+    panel.set(xlim=(-1.05 * i_max, 1.05 * i_max), ylim=(-1.05 * i_max, 1.05 * i_max))
+    name_currents(panel, f"{PSI[axis]}, % of the largest flux")
+    below, above = bool((colours < -_WIDEST).any()), bool((colours > _WIDEST).any())
+    extend = "both" if below and above else "min" if below else "max" if above else "neither"
+    add_colour_bar(panel, drawn, levels(-_WIDEST, _WIDEST, 8), extend=extend)
     return figure

@@ -19,10 +19,12 @@
   const named = (row) => [row.machine || row.folder, row.serial, (row.date ?? "").slice(0, 10)].filter(Boolean).join(", ");
   const text = (row) => [row.date, row.machine, row.serial, row.method, row.folder, row.error].filter(Boolean).join(" ").toLowerCase();
 
+  const label = (name) => made("span", { class: "column" }, ...symbol(name));  // beside a value, where the page is narrow
+
   function cell([name, value, written], row) {
     const content = name === "Folder" && row.report ? made("a", { href: `${encodeURI(row.folder)}/report.html` }, row.folder)
       : String((written ?? value)(row) ?? "");
-    const found = made("td", { "data-name": name, ...(NUMBERS.has(name) ? { class: "number" } : {}) }, content);
+    const found = made("td", NUMBERS.has(name) ? { class: "number" } : {}, ...(content ? [label(name), content] : []));
     if (name === "Warnings" && row.warnings?.length) found.title = row.warnings.join("\n");
     return found;
   }
@@ -32,7 +34,7 @@
     const box = made("input", { type: "checkbox", "aria-label": `Compare ${named(row)}` });
     box.checked = chosen.has(row);
     box.addEventListener("change", () => { chosen[box.checked ? "add" : "delete"](row); compare(); });
-    return made("tr", {}, made("td", { "data-name": "Compare" }, box), ...COLUMNS.map((column) => cell(column, row)));
+    return made("tr", {}, made("td", {}, label("Compare"), box), ...COLUMNS.map((column) => cell(column, row)));
   }
 
   function list() {
@@ -85,7 +87,7 @@
     if (!a || !b) return made("td", { class: "number" }, b ? b[3] : "");
     const units = unitsOf(a, b);
     const apart = units === null ? "" : ` (${units > 0 ? "+" : ""}${shown(units, 2)} σ)`;
-    return made("td", { "data-name": lettered(other), class: "number" }, b[3], made("span", { class: Math.abs(units) > 3 ? "far" : "" }, apart));
+    return made("td", { class: "number" }, label(lettered(other)), b[3], made("span", { class: Math.abs(units) > 3 ? "far" : "" }, apart));
   }
 
   function picture(first, other, flux) {
@@ -109,7 +111,7 @@
   function compare() {
     const reference = [...chosen].find((row) => row.folder === byId("reference").value) ?? [...chosen][0];
     byId("reference").replaceChildren(...[...chosen].map((row) => made("option", { value: row.folder, ...(row === reference ? { selected: "" } : {}) }, row.folder)));
-    byId("reference").disabled = chosen.size < 2;
+    byId("reference").parentElement.hidden = chosen.size < 2;
     const ticked = [...chosen].filter((row) => row !== reference);
     const [first, others] = [reference, ticked.filter((row) => row.machine === reference.machine)];
     const refused = ticked.filter((row) => row.machine !== reference.machine)
@@ -119,7 +121,7 @@
     [first, ...others].forEach((row, n) => letters.set(row, n < 26 ? String.fromCharCode(65 + n) : String(n + 1)));
     const head = [first, ...others].map((row, n) => made("th", { scope: "col", class: "number" }, lettered(row), n ? "" : " (reference)"));
     const body = QUANTITIES.map((name) => made("tr", {}, made("th", { scope: "row" }, ...symbol(name)),
-      made("td", { "data-name": lettered(first), class: "number" }, quantity(name)(first)?.[3] ?? ""), ...others.map((other) => compared(first, other, name))));
+      made("td", { class: "number" }, label(lettered(first)), quantity(name)(first)?.[3] ?? ""), ...others.map((other) => compared(first, other, name))));
     const table = made("table", { class: "cards" }, made("thead", {}, made("tr", {}, made("th", { scope: "col" }, "Quantity"), ...head)), made("tbody", {}, ...body));
     const pictures = others.flatMap((other) => (first.map && other.map ? ["d", "q"].map((flux) => picture(first, other, flux)) : []));
     const missing = pictures.length < 2 * others.length ? [made("p", {}, "Maps of older results are not on this page: drive-id compare shows them.")] : [];
@@ -143,7 +145,7 @@
       const label = `${name} / ${quantity(name)(points[0].row)[2]}, bars: ±2 σ`;
       const times = points.map((p) => p.x);
       const oneDay = Math.max(...times) - Math.min(...times) < 86400e3;
-      const tick = (time) => new Date(time).toISOString().slice(...(oneDay ? [11, 16] : [0, 10]));
+      const tick = (time) => new Date(time).toISOString().slice(...(oneDay ? [11, Math.max(...times) - Math.min(...times) < 600e3 ? 19 : 16] : [0, 10]));
       const when = oneDay ? `, ${points[0].row.date.slice(0, 10)}` : "";
       return [made("figure", {}, drawTrend(points, `${label}${when}`, (p) => `${p.row.date.slice(0, 16).replace("T", " ")}: ${p.written}, ${p.series}`, tick))];
     }));

@@ -8,7 +8,7 @@ document.documentElement.classList.add("interactive");
 
 /** Make an element; text is never taken for markup. */
 function made(tag, attributes = {}, ...children) {
-  const svg = ["svg", "g", "path", "circle", "text", "rect", "line", "title"].includes(tag);
+  const svg = ["svg", "g", "path", "circle", "text", "tspan", "rect", "line", "title"].includes(tag);
   const element = svg ? document.createElementNS("http://www.w3.org/2000/svg", tag) : document.createElement(tag);
   for (const [name, value] of Object.entries(attributes)) element.setAttribute(name, value);
   element.append(...children);
@@ -16,7 +16,7 @@ function made(tag, attributes = {}, ...children) {
 }
 
 /** A name with the index of its symbol lowered, as nodes. */
-const symbol = (name) => name.split(/_(PM|max|[dq]{1,2})\b/).map((part, n) => (n % 2 ? made("sub", {}, part) : part));
+const symbol = (name, tag = "sub") => name.split(/_(PM|max|[dq]{1,2})\b/).map((part, n) => (n % 2 ? made(tag, {}, part) : part));
 
 const shown = (value, digits = 3) => (value === null || !Number.isFinite(value) ? "unknown"
   : String(Number(value.toPrecision(digits))).replace("-", "\u2212"));
@@ -86,7 +86,7 @@ function drawTrend(points, label, describe, tick) {
   const y = (value) => height - bottom - (height - bottom - top) * (value - low + pad) / (high - low + 2 * pad);
   const ordered = [...points].sort((a, b) => a.x - b.x);
   const svg = made("svg", { viewBox: `0 0 ${width} ${height}`, class: "plot", role: "img", "aria-label": `${label}: ${points.length} points` },
-    made("text", { x: left, y: 15 }, label),
+    made("text", { x: left, y: 15 }, ...symbol(label, "tspan")),
     made("rect", { class: "frame", x: left, y: top, width: width - left - 6, height: height - bottom - top }));
   const colours = ["var(--d)", "var(--q)", "var(--good)", "var(--grey)"];
   const series = [...new Set(points.map((p) => p.series))];
@@ -98,7 +98,12 @@ function drawTrend(points, label, describe, tick) {
     for (const p of own) svg.append(made("circle", { cx: x(p.x), cy: y(p.y), r: 3.5, style: `fill: ${stroke}` }, made("title", {}, describe(p))));
     if (series.length > 1) svg.append(made("text", { x: width - 8 - 70 * (series.length - 1 - n), y: 15, "text-anchor": "end", style: `fill: ${stroke}` }, name));
   });
-  for (const value of [low, (low + high) / 2, high]) svg.append(made("text", { x: left - 4, y: y(value) + 4, "text-anchor": "end" }, shown(value, 5)));
+  const least = (high - low + 2 * pad) / 6;
+  const step = [1, 2, 5, 10].map((factor) => factor * 10 ** Math.floor(Math.log10(least))).find((round) => round >= least);
+  for (let n = Math.ceil((low - pad) / step); n * step <= high + pad; n += 1) {
+    const written = (n * step).toFixed(Math.max(0, -Math.floor(Math.log10(step)))).replace("-", "\u2212");
+    svg.append(made("path", { class: "frame", d: `M${left} ${y(n * step)}h-5` }), made("text", { x: left - 8, y: y(n * step) + 4, "text-anchor": "end" }, written));
+  }
   const ticks = last > first ? [first, (first + last) / 2, last] : [first];
   for (const [n, value] of ticks.entries()) {
     svg.append(made("path", { class: "frame", d: `M${x(value)} ${height - bottom}v5` }), made("text", { x: x(value), y: height - 10, "text-anchor": n === 2 ? "end" : n || ticks.length < 2 ? "middle" : "start" }, tick(value)));

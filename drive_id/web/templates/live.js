@@ -23,7 +23,8 @@
   function showStates() {
     const { publisher, drive, speed } = state;
     if (publisher) {
-      const course = Number.isFinite(publisher.duration) && publisher.duration > 0 ? `${shown(publisher.elapsed)} of ${shown(publisher.duration)} s` : `${shown(publisher.elapsed)} s`;
+      const elapsed = finished() ? publisher.duration : publisher.elapsed;
+      const course = Number.isFinite(publisher.duration) && publisher.duration > 0 ? `${shown(elapsed)} of ${shown(publisher.duration)} s` : `${shown(publisher.elapsed)} s`;
       tile("publisher", finished() ? "finished" : publisher.state.replace("_", " "), [course, publisher.dry_run ? "dry run" : "", publisher.reason].filter(Boolean).join("; "),
         publisher.state === "tripped" ? "weak" : publisher.state === "idle" && !finished() ? "unknown" : "good");
     }
@@ -39,7 +40,8 @@
   }
 
   const provisional = () => `provisional, ${Math.round((Date.now() - mapAt) / 1000)} s old`;
-  const finished = () => state.map && !state.map.provisional && (state.publisher?.state ?? "idle") === "idle";
+  const held = () => state.map && !state.map.provisional && (state.publisher?.state ?? "idle") === "idle";  // the requested fit
+  const finished = () => held() || (state.publisher?.state === "idle" && state.publisher.completed);
 
   function showEstimates() {
     const { resistance, map } = state;
@@ -70,7 +72,7 @@
 
   function showDisc() {
     const { points, map } = state;
-    reach = map?.i_max ?? Math.max(reach, 1.05 * points.reduce((most, [d, q]) => Math.max(most, Math.hypot(d, q)), 0));
+    reach = map?.i_max ?? state.i_max ?? Math.max(reach, 1.05 * points.reduce((most, [d, q]) => Math.max(most, Math.hypot(d, q)), 0));
     const values = map ? map.sigma.map((value) => Math.log10(Math.max(value, 1e-12))) : [];
     const [low, high] = [Math.min(...values), Math.max(...values)];
     const { context, x, y } = drawDisc(byId("disc"), reach || 1, map?.cells ?? [], map?.step ?? 1, values, (v) => shade(high > low ? (v - low) / (high - low) : 0), reach ? `${shown(reach, 4)} A` : "");
@@ -100,7 +102,7 @@
     if (news.reset) state = { points: [] };
     const points = [...state.points, ...(news.points ?? [])].slice(-MOST_POINTS);
     const samples = news.resistance?.estimates.at(-1)?.[0] ?? state.samples;
-    const from = news.map && !news.map.provisional ? "request" : samples !== state.samples ? "background" : state.from;
+    const from = news.map && !news.map.provisional ? "request" : samples !== state.samples && !held() ? "background" : state.from;
     Object.assign(state, news, { points, samples, from });
     heard = Date.now();
     if (news.map) mapAt = heard;

@@ -82,7 +82,7 @@ def pair(x_abc):
 
 def told(samples):
     (finding,) = found(samples)
-    assert finding.count(". ") == 0
+    assert finding.count(". ") <= 2
     assert finding.endswith(".")
     assert finding[0].isupper()
     return finding
@@ -291,7 +291,7 @@ def test_a_mechanical_angle_over_several_electrical_turns_is_in_radians(ipm, pol
         (lambda s: replace(s, speed=s.speed / 4 / (2 * np.pi)), "in revolutions per second and the machine had 4 pole"),
         (lambda s: replace(s, speed=np.rad2deg(s.speed)), "the speed were in degrees per second"),
         (lambda s: replace(s, speed=s.speed * 1e-3), "the unit of the time were wrong"),
-        (lambda s: replace(s, speed=s.speed * 0.77), "says: give both"),
+        (lambda s: replace(s, speed=s.speed * 0.77), "says. Give both"),
     ],
 )
 def test_what_a_ratio_of_the_speeds_means(ipm, change, said):

@@ -12,6 +12,7 @@ from exact_results import exact_result
 
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.result.headline import headline, slopes
+from drive_id.quantity import measured
 from drive_id.types import MachineMap
 
 PSI_PM, L_D, L_Q, I_MAX, PAIRS = 0.066, 1.5e-4, 3.6e-4, 100.0, 4
@@ -118,7 +119,7 @@ def test_what_the_data_do_not_cover_is_left_out(drive):
     assert list(found)[:4] == ["L_d at 95 A, MTPA", "L_q at 95 A, MTPA", "R", "Inverter drop"]
     assert "Torque at i_max, MTPA" in found
     assert "Torque at 80 A, MTPA" in named(covered(drive, np.hypot(d, q) <= 85.0), pole_pairs=PAIRS)
-    assert not any("at" in name for name in named(covered(drive, inside & (q < 0)), pole_pairs=PAIRS))
+    assert not any("at" in name for name in named(covered(drive, inside & (q < -10.0)), pole_pairs=PAIRS))
 
 
 def test_what_the_data_enclose_is_told_with_its_standard_error(drive):
@@ -132,6 +133,18 @@ def test_what_the_data_enclose_is_told_with_its_standard_error(drive):
         assert "No sample" not in whole[name].note
     few = named(covered(drive, inside & (np.hypot(d - 20, q - 70) > 25), inside), pole_pairs=PAIRS)
     assert few["Torque at i_max, MTPA"] == whole["Torque at i_max, MTPA"]
+
+
+def test_data_that_end_at_zero_current_tell_it_with_the_standard_error_of_the_continuation(drive):
+    """A recording of i_d < 0 only, as many are: its last grid point lies before zero."""
+    inside, (d, _) = drive.flux_map.inside, np.meshgrid(AXIS, AXIS, indexing="ij")
+    drive.error_modes.psi_d[1] = 1e-6 * (-1.0) ** np.arange(len(AXIS))[:, None]
+    whole, half = named(drive), named(covered(drive, inside & (d < 0)))
+    for name in ("ψ_PM", "L_d at zero current", "L_q at zero current"):
+        assert half[name].value == pytest.approx(whole[name].value, rel=1e-4)
+        assert half[name].sigma > whole[name].sigma or name == "L_q at zero current"
+        assert "The data end beside it" in half[name].note
+    assert "ψ_PM" not in named(covered(drive, inside & (d < -5.0)))
 
 
 def test_slopes_at_large_current_are_told_with_sound_standard_errors_only(drive):
@@ -161,3 +174,7 @@ def test_a_rated_current_is_where_loaded_values_are_told(drive):
     assert found["Torque per A at 60 A, MTPA"].value == pytest.approx(torque / 60.0, rel=1e-6)
     assert "Torque at i_max, MTPA" in found
     assert named(drive, rated=99.0).keys() == named(drive).keys()  # beyond where slopes are known
+
+
+def test_an_offset_of_a_current_is_told_in_the_unit_of_the_currents(drive):
+    assert measured(1.1e-4, 9.3e-4, "A", drive.sizes["A"]) == "0.00011 ± 0.00093 A"

@@ -55,7 +55,7 @@ def test_a_large_offset_is_proposed_once(good):
     turned = replace(good, i_abc=good.i_abc[:, [1, 2, 0]], u_abc=good.u_abc[:, [1, 2, 0]])
     for samples, degrees in ((replace(good, angle=good.angle + np.pi), 180), (turned, -120)):
         said = told(samples)
-        found = re.search(r"d axis lies ([+-]\d+) degrees electrical from that of the angle given: add", said)
+        found = re.search(r"d axis lies ([+-]\d+) degrees electrical from that of the angle given. Add", said)
         assert abs(np.exp(1j * np.deg2rad(float(found[1]) - degrees)) - 1) < 0.05
         assert "mirror symmetry" not in said
         assert "magnet's flux is negative" not in said
@@ -111,7 +111,7 @@ def test_a_map_that_explains_too_little_is_refused_with_the_likeliest_cause(good
     with pytest.raises(DataError, match="unexplained, and no order of phases"):
         identify([samples], settings)
     cause = Message.told("The cable is loose: fix it.", "x")
-    for found, said in (((), "so there is no valid map: check"), ((cause,), "most likely, the cable is loose: fix it")):
+    for found, said in (((), "There is no valid map: check"), ((cause,), "most likely, the cable is loose: fix it")):
         monkeypatch.setattr(Prescan, "findings", lambda *_, found=found: found)
         with pytest.raises(UnexplainedError, match=said):
             identify([samples], settings)
@@ -249,5 +249,5 @@ def test_an_angle_far_off_is_refused_where_symmetry_shows_it(plain):
     """30 or 89 degrees would give a map that is wrong by 25 to 77 %; a half turn only changes its sign."""
     for degrees in (30.0, 89.0):
         turned = replace(plain, angle=plain.angle + np.deg2rad(degrees))
-        with pytest.raises(DataError, match=r"mirror-symmetric.*add -\d\.\d+ rad to the angle"):
+        with pytest.raises(DataError, match=r"mirror-symmetric.*Add -\d\.\d+ rad to the angle"):
             identify([turned], FULL)

@@ -117,7 +117,7 @@ def test_two_drives_at_once_give_no_map(identifier, drives):
     for number in range(150):
         play(identifier, drives["first"], [number])
         play(identifier, drives["second"], [number], count=70_000)
-    with pytest.raises(DriveChangedError, match=r"there were 29\d changes"):
+    with pytest.raises(DriveChangedError, match=r"There were 29\d changes"):
         identifier.job((), "")
     with pytest.raises(ConfigurationError, match="Too few samples came before"):
         asked(identifier, "before")

@@ -239,9 +239,11 @@
     line: { color: share < 1 ? "#00000066" : colour("text"), width: 1, ...(share < 1 ? { dash: "dot" } : {}) }, xref: axes.xaxis, yref: axes.yaxis,
   });
 
+  const isNarrow = (chart) => byId(chart).clientWidth < 640;
+
   /** Where each of some planes lies in a chart: side by side, on a narrow page one below the other. */
   function placesIn(chart, count) {
-    const narrow = byId(chart).clientWidth < 640;
+    const narrow = isNarrow(chart);
     const domain = (n) => (count < 2 ? [0, narrow ? 1 : 0.55] : n ? [0.56, 0.96] : [0, 0.4]);
     return (n) => (narrow ? { x: [0, 1], y: count < 2 ? [0.3, 1] : n ? [0, 0.42] : [0.56, 0.98] } : { x: domain(n), y: [0, 1] });
   }
@@ -330,6 +332,7 @@
   function drawSlices() {
     const [d, q] = probed();
     const { i_d, i_q } = data.map;
+    const narrow = isNarrow("chart-slices");
     const slices = [["psi_d", i_d, (x) => [x, q], "x", "y"], ["psi_q", i_q, (x) => [d, x], "x2", "y2"]];
     const traces = slices.flatMap(([name, over, at, xaxis, yaxis]) => {
       const part = named(name);
@@ -344,8 +347,8 @@
     const title = (component) => `ψ<sub>${component}</sub> / ${named(`psi_${component}`).unit}`;
     return Plotly.react("chart-slices", traces, layout({
       margin: { l: 60, r: 20, t: 20, b: 50 },
-      xaxis: axis(currentAxis("d"), { domain: [0, 0.45] }), yaxis: axis(title("d")),
-      xaxis2: axis(currentAxis("q"), { domain: [0.55, 1], anchor: "y2" }), yaxis2: axis(title("q"), { anchor: "x2" }),
+      xaxis: axis(currentAxis("d"), { domain: narrow ? [0, 1] : [0, 0.45] }), yaxis: axis(title("d"), { domain: narrow ? [0.62, 1] : [0, 1] }),
+      xaxis2: axis(currentAxis("q"), { domain: narrow ? [0, 1] : [0.55, 1], anchor: "y2" }), yaxis2: axis(title("q"), { domain: narrow ? [0, 0.38] : [0, 1], anchor: "x2" }),
     }), config);
   }
 

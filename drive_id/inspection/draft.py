@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
@@ -17,7 +17,7 @@ from drive_id.inspection.choice import Choice, choose
 from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.duty import full_scale
-from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests
+from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
 from drive_id.inspection.static_draft import is_slow, static_draft
 from drive_id.quantity import counted
@@ -40,6 +40,12 @@ _COARSE = 1e-3
 """Electrical angle of one count, rad, from which the angle is smoothed."""
 _SMOOTHING = 0.003
 """Time over which it is smoothed, s: short beside the acceleration of a shaft."""
+_COUNTER = 1 << 16
+"""Value at which a counter of 16 bits starts again, whatever the counts of a turn."""
+_RESOLVERS = {"resolver", "res", "rdc", "rslv"}
+"""Words of a sensor that may have several pole pairs of its own."""
+_RPM = {"rpm", "min", "umin", "n", "drehzahl"}
+"""Words of a speed in rpm: of six times as many pole pairs, it would be in degrees per second."""
 _GAP = 1.5
 """Median steps of the stamps, from which on samples are missing between."""
 
@@ -227,30 +233,28 @@ class _DraftText:
         choice, angle, reading = self._choice, self._choice.angle, self._choice.reading
         lines = [f"  angle: {quoted(angle.name)}"]
         unit = angle.like.unit
+        turn, pole_pairs, why = choice.turn, abs(reading.ratio[0]), ""
         if unit == "counts":
-            lines += ["  angle_unit: counts", f"  counts_per_turn: {choice.turn:g}"]
+            turn, pole_pairs, why = self._counts_of_turn()
+            lines += ["  angle_unit: counts", f"  counts_per_turn: {turn:.15g}"]
+            if pole_pairs == 1:
+                lines[-1] += "          # of an electrical turn"
             if choice.modulus:
                 lines.append(f"  angle_modulus: {choice.modulus:g}")
-            if choice.modulus or not angle.like.wraps:
-                self._unsure.append(
-                    "The encoder never starts again at a whole revolution: only the ratio of counts_per_turn and "
-                    "pole_pairs follows from the log."
-                )
         elif unit != "rad":
             lines.append(f"  angle_unit: {unit}")
-        pole_pairs = abs(reading.ratio[0])
-        if pole_pairs != 1 or unit == "counts":
-            lines += ["  mechanical: true", f"  pole_pairs: {pole_pairs}"]
+        if pole_pairs != 1:
+            lines += ["  mechanical: true", f"  pole_pairs: {pole_pairs}{why}"]
         if reading.ratio[0] < 0:
             lines.append("  direction: -1                   # counts against the order of the phases")
         lines += self._offset()
-        coarse = 2 * np.pi * pole_pairs / choice.turn if unit == "counts" else 0.0
+        coarse = 2 * np.pi * pole_pairs / turn if unit == "counts" else 0.0
         if coarse > _COARSE:
             lines.append(
                 f"  smoothing: {_SMOOTHING:g}                # s: one count is {coarse * 1e3:.2g} mrad electrical"
             )
         else:
-            lines += self._speed()
+            lines += self._speed(turn, pole_pairs)
         rate = angle.table.period
         if rate and abs(rate / self._period - 1) > _SAME_RATE:
             lines.append(
@@ -276,33 +280,67 @@ class _DraftText:
             said = f"EDIT: rad; {said}, up to multiples of 1.5708"
         return [f"  angle_offset: {offset:.4g}          # {said}"]
 
-    def _speed(self) -> list[str]:
+    def _counts_of_turn(self) -> tuple[float, int, str]:
+        """Return the counts of a turn, its pole pairs, and what makes them known; 1 for the electrical turn alone.
+
+        A resolver may start again several times per turn of the shaft, and a counter anywhere: without a speed of the
+        shaft, they show only the counts per electrical turn.
+        """
+        choice, angle = self._choice, self._choice.angle
+        pole_pairs = abs(choice.reading.ratio[0])
+        of_sensor = angle.like.wraps and pole_pairs > 1 and not (choice.modulus or choice.turn == _COUNTER)
+        of_sensor = of_sensor and not words(angle.name) & _RESOLVERS
+        electrical = choice.turn / pole_pairs
+        pairs, unit, _, name, sure = next(self._speeds(electrical), (1, "", 1, "", False))
+        if pairs > 1 and sure and suggests(name, "speed"):
+            return electrical * pairs, pairs, f"               # by {printable(name)}, in {unit} of the shaft"
+        if of_sensor:
+            return choice.turn, pole_pairs, "               # if the count starts again once per turn of the shaft"
+        self._unsure.append(
+            f"The log shows {electrical:.6g} counts per electrical turn, but not the pole pairs: for torque, give those to "
+            "analyze (--pole-pairs), or here with mechanical: true and the counts of a turn of the shaft."
+        )
+        return electrical, 1, ""
+
+    def _speed(self, turn: float, pole_pairs: int) -> list[str]:
         """Return the speed next to the angle, if the angle makes its unit clear."""
+        for pairs, unit, sign, name, _ in self._speeds(turn, most=_MOST_POLE_PAIRS if pole_pairs == 1 else 1):
+            scale = pairs * sign
+            why = f"   # {counted(pairs, 'pole pair')}: the angle is electrical, the speed that of the shaft"
+            scaled = [f"  speed_scale: {scale}{why if pairs > 1 else ''}"] if scale != 1 else []
+            return [f"  speed: {quoted(name)}", f"  speed_unit: {unit}", *scaled]
+        return ["  # no field is the speed of this angle: it is derived from the angle"]
+
+    def _speeds(self, turn: float, most: int = _MOST_POLE_PAIRS) -> Iterator[tuple[int, str, int, str, bool]]:
+        """Yield columns that are the speed of the angle, by its ``turn``, or a part of it by pole pairs.
+
+        Each as pole pairs, unit, sign, name, and whether these pole pairs and this unit are the only ones that fit.
+        """
         angle, choice = self._choice.angle, self._choice
         at = regular_stamps(angle.table)
         x = np.unwrap(angle.values, period=choice.modulus or choice.turn) if angle.like.wraps else angle.values
-        x = x * (2 * np.pi / choice.turn)
+        x = x * (2 * np.pi / turn)
         seconds = (at - at[0]) * 1e-9
         half = len(x) // 2
         if x[-1] == x[0] or not 0 < seconds[half] < seconds[-1]:
-            return ["  # no field is the speed of this angle: it is derived from the angle"]
+            return
         by_angle = np.array([(x[-1] - x[0]) / seconds[-1], (x[half] - x[0]) / seconds[half]])
-        pole_pairs = range(1, _MOST_POLE_PAIRS + 1) if abs(choice.reading.ratio[0]) == 1 else (1,)
         columns = sorted(angle.table.columns.items(), key=lambda column: not suggests(column[0], "speed"))
         for name, y in columns:
             if name in self._taken or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
                 continue
             means, named = np.array([y.mean(), y[:half].mean()]), suggests(name, "speed")
-            for pairs, (unit, factor) in product(pole_pairs, SPEED_UNITS.items()):
+            fitting: list[tuple[int, str, int]] = []
+            for pairs, (unit, factor) in product(range(1, _MOST_POLE_PAIRS + 1), SPEED_UNITS.items()):
                 ratios = means * factor * pairs / by_angle
                 near = np.abs(np.abs(ratios) - 1)
                 sure = named or (np.ptp(y) > 0 and pairs == 1) or (unit == "rpm" and near.max() < _SAME_SPEED / 4)
                 if near[0] < _SAME_SPEED and near[1] < 2.5 * _SAME_SPEED and sure:
-                    scale = pairs * (1 if ratios[0] > 0 else -1)
-                    why = f"   # {counted(pairs, 'pole pair')}: the angle is electrical, the speed that of the shaft"
-                    scaled = [f"  speed_scale: {scale}{why if pairs > 1 else ''}"] if scale != 1 else []
-                    return [f"  speed: {quoted(name)}", f"  speed_unit: {unit}", *scaled]
-        return ["  # no field is the speed of this angle: it is derived from the angle"]
+                    fitting.append((pairs, unit, 1 if ratios[0] > 0 else -1))
+            said = bool(words(f"{name} {angle.table.unit(name)}") & _RPM)
+            for pairs, unit, sign in fitting:
+                if pairs <= most:
+                    yield pairs, unit, sign, name, len(fitting) == 1 or (said and unit == "rpm")
 
     def _reference(self) -> list[str]:
         """Return the pair of columns that the currents follow."""

@@ -286,6 +286,48 @@ def test_drafts_read_what_was_recorded(kind, tmp_path, samples):
     assert read.i_dq_reference is not None or kind == "no names"
 
 
+def resolver_of(s, per_turn, turns_per_turn=POLE_PAIRS):
+    """Counts of a resolver that starts again so often per turn of the shaft."""
+    return counts(s, per_turn * turns_per_turn, per_turn, start=0)
+
+
+UNKNOWN = {
+    "resolver of the machine's pole pairs": ("rot_cnt", lambda s: resolver_of(s, 16_384)),
+    "resolver of two pole pairs": ("resolver_raw", lambda s: resolver_of(s, 4096, 2)),
+    "5000 lines on 16 bits": ("qdec", lambda s: counts(s, 20_000, 65_536)),
+    "16384 on 16 bits": ("qdec", lambda s: counts(s, 16_384, 65_536)),
+    "20000 without an end": ("pos_cnt", lambda s: np.floor(shaft(s) / (2 * np.pi) * 20_000)),
+}
+"""Counts that show no pole pairs, with the name of their column."""
+
+
+@pytest.mark.parametrize("speed", [None, "n_rpm"])
+@pytest.mark.parametrize("kind", UNKNOWN)
+def test_pole_pairs_that_no_data_show_are_left_out(kind, speed, tmp_path, samples):
+    """Only a speed of the shaft tells them; one or two were drafted without a mark, and torque was a quarter."""
+    name, made = UNKNOWN[kind]
+    table = columns(samples, theta=None, omega=None, **{name: made(samples)})
+    if speed:
+        table[speed] = samples.speed / POLE_PAIRS * 30 / np.pi
+    path = write_parquet(tmp_path / "log.parquet", table)
+    found = check(path)
+    assert_reads(path, found.draft, samples)
+    rotor = parse_signals(found.draft.text, "the draft").resolver
+    assert rotor.pole_pairs == (POLE_PAIRS if speed else None)
+    assert ("draft_unsure" in [finding.code for finding in found.findings]) == (not speed)
+    if speed:
+        assert f"# by {speed}, in rpm of the shaft" in found.draft.text
+
+
+@pytest.mark.parametrize(("name", "known"), [("w_shaft", None), ("drehzahl", POLE_PAIRS)])
+def test_a_speed_of_an_unknown_unit_tells_no_pole_pairs(name, known, tmp_path, samples):
+    """Revolutions per minute with 4 pole pairs are degrees per second with 24."""
+    speed = samples.speed / POLE_PAIRS * 30 / np.pi
+    table = columns(samples, theta=None, omega=None, rot_cnt=resolver_of(samples, 16_384), **{name: speed})
+    draft = check(write_parquet(tmp_path / "log.parquet", table)).draft
+    assert parse_signals(draft.text, "the draft").resolver.pole_pairs == known
+
+
 def test_duty_cycles_with_and_without_a_dc_link(tmp_path, samples):
     u_dc = 400 + 20 * np.sin(20e-9 * samples.stamp)
     duty = {f"duty_{phase}": samples.u_abc[:, k] / u_dc + 0.5 for k, phase in enumerate("UVW")}

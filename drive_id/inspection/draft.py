@@ -36,6 +36,9 @@ _SAME_SPEED = 0.004
 """Relative difference of a speed and that of the angle, up to which they are the same."""
 _NO_OFFSET = 0.035
 """Estimated offset, rad, that is not told from none."""
+_NO_OFFSET_IN_ROTOR = 0.2
+"""The same where one side is logged in d and q: the drive's own frame is that of the angle, and an estimate, some
+degrees off, would turn voltages against currents."""
 _COARSE = 1e-3
 """Electrical angle of one count, rad, from which the angle is smoothed."""
 _SMOOTHING = 0.003
@@ -195,10 +198,12 @@ class _DraftText:
             )
         if u.group.frame == "dq":
             lines.append(
-                "  angle_advance: 0.0  # EDIT if the drive transforms them back with an angle ahead: often 1.5"
+                "  angle_advance: 0.0  # EDIT: samples by which the drive's angle is ahead as it transforms them back: "
+                "often 0.5 or 1.5"
             )
             self._unsure.append(
-                "The voltages are d and q components: set angle_advance if the drive compensates its delay."
+                "The voltages are d and q components: set angle_advance if the drive compensates its delay, by 0.5 or "
+                "1.5 as a rule. At one speed, no data can tell; R follows it."
             )
         rate = u.table.period
         if rate and self._period and abs(rate / self._period - 1) > 2 * _SAME_RATE:
@@ -269,13 +274,16 @@ class _DraftText:
         offset = reading.angle_offset
         if reading.voltage_sign < 0:  # written as a sign of the currents, which turns the axes by half a turn
             offset -= float(np.copysign(np.pi, offset))
-        offset = offset if abs(offset) > _NO_OFFSET else 0.0
+        in_rotor = "dq" in (choice.currents.group.frame, choice.voltages.group.frame)  # in the drive's, by this angle
+        offset = offset if abs(offset) > (_NO_OFFSET_IN_ROTOR if in_rotor else _NO_OFFSET) else 0.0
         if not reading.certain_offset:
             self._unsure.append(
                 "The angle offset follows from the saliency only, so it may be wrong by a multiple of 90 degrees "
                 "(1.5708), which exchanges or reverses the axes: compare with the d axis of your drive."
             )
         said = "estimated; method full corrects the rest" if offset else "no offset was found"
+        if in_rotor:
+            said = "EDIT: rad; estimated to some degrees, and turns d and q as well" if offset else "of the drive's d axis"
         if not reading.certain_offset:
             said = f"EDIT: rad; {said}, up to multiples of 1.5708"
         return [f"  angle_offset: {offset:.4g}          # {said}"]
@@ -297,8 +305,8 @@ class _DraftText:
         if of_sensor:
             return choice.turn, pole_pairs, "               # if the count starts again once per turn of the shaft"
         self._unsure.append(
-            f"The log shows {electrical:.6g} counts per electrical turn, but not the pole pairs: for torque, give those to "
-            "analyze (--pole-pairs), or here with mechanical: true and the counts of a turn of the shaft."
+            f"The log shows {electrical:.6g} counts per electrical turn, but not the pole pairs: for torque, give them "
+            "to analyze (--pole-pairs), or here with mechanical: true and the counts of a turn of the shaft."
         )
         return electrical, 1, ""
 

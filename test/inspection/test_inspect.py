@@ -328,6 +328,27 @@ def test_a_speed_of_an_unknown_unit_tells_no_pole_pairs(name, known, tmp_path, s
     assert parse_signals(draft.text, "the draft").resolver.pole_pairs == known
 
 
+@pytest.mark.parametrize("ahead", [0.0, 0.5, 1.5])
+def test_an_angle_ahead_that_no_data_show_is_a_guess(ahead, tmp_path, samples):
+    """Voltages in d and q: R was 36 % off without a warning, and an estimated angle offset turned them further."""
+    theta = samples.angle + ahead * samples.speed * samples.sample_period
+    u = frames.to_dq(samples.u_abc, theta)
+    table = columns(samples, ua=None, ub=None, uc=None, Vd_cmd=u[:, 0], Vq_cmd=u[:, 1])
+    path = write_parquet(tmp_path / "log.parquet", table)
+    draft = check(path).draft
+    warnings = read_recording(path, parse_signals(draft.text, "the draft")).warnings
+    (found,) = [message for message in warnings if message.code == "guessed_setting"]
+    assert found.values["setting"] == "angle_advance: 0.0"
+    assert draft.text.splitlines()[found.values["line"] - 1].strip().startswith("angle_advance: 0.0  # EDIT")
+    assert "R and the fluxes" in str(found)
+    assert "angle_offset: 0 " in draft.text
+    told = re.sub("angle_advance: 0.0  # EDIT.*", f"angle_advance: {ahead}", draft.text)
+    read = read_recording(path, parse_signals(told, "told"))
+    assert not read.warnings
+    away = frames.space_vector(read.samples.u_abc) / frames.space_vector(samples.u_abc)
+    assert np.abs(np.angle(away)).max() < 1e-3
+
+
 def test_duty_cycles_with_and_without_a_dc_link(tmp_path, samples):
     u_dc = 400 + 20 * np.sin(20e-9 * samples.stamp)
     duty = {f"duty_{phase}": samples.u_abc[:, k] / u_dc + 0.5 for k, phase in enumerate("UVW")}

@@ -283,9 +283,11 @@ class _DraftText:
             )
         said = "estimated; method full corrects the rest" if offset else "no offset was found"
         if in_rotor:
-            said = "EDIT: rad; estimated to some degrees, and turns d and q as well" if offset else "of the drive's d axis"
+            said = "estimated to some degrees, and turns d and q as well" if offset else "of the drive's d axis"
         if not reading.certain_offset:
-            said = f"EDIT: rad; {said}, up to multiples of 1.5708"
+            said = f"{said}, up to multiples of 1.5708"
+        if (in_rotor and offset) or not reading.certain_offset:
+            said = f"EDIT: rad; {said}"
         return [f"  angle_offset: {offset:.4g}          # {said}"]
 
     def _counts_of_turn(self) -> tuple[float, int, str]:

@@ -16,6 +16,7 @@ from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.inspection.clock import FEWEST, PERIODS, numbered, regular_stamps, timed, together
 from drive_id.inspection.contents import Contents, Table
+from drive_id.inspection.counts import zero_reading
 from drive_id.inspection.duty import full_scale
 from drive_id.inspection.names import name_groups, suggests, words
 from drive_id.inspection.points import AngleColumn, PhaseGroup, angle_points, current_points, dc_link, voltage_points
@@ -229,6 +230,7 @@ def _chosen(
 
 def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str] | None) -> Choice | None:
     """Read the angle in the likeliest way, for these currents and voltages."""
+    logged, i = i, replace(i, values=i.values - zero_reading(i))
     options: list[tuple[float, float | None, tuple[int, ...] | None]] = []
     if angle.like.turn:
         options.append((angle.like.turn, None, None))
@@ -248,7 +250,7 @@ def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str
         in_rotor = "dq" in (i.group.frame, u.group.frame)
         found = likely_reading(_runs(samples), largest, (1,) if in_rotor else ratios) if largest > 0 else None
         if found is not None and (best is None or found.unexplained < best.reading.unexplained):
-            best = Choice(i, u, angle, found, turn, modulus, samples)
+            best = Choice(logged, u, angle, found, turn, modulus, samples)
     return best
 
 

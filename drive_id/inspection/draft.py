@@ -16,11 +16,13 @@ from drive_id.files.messages.signal_sources import SPEED_UNITS
 from drive_id.inspection.choice import Choice, choose
 from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
+from drive_id.inspection.counts import is_whole, zero_reading
 from drive_id.inspection.duty import full_scale
 from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
 from drive_id.inspection.static_draft import is_slow, static_draft
 from drive_id.quantity import counted
+from drive_id.types import FloatArray
 
 _SAME_RATE = 0.005
 """Relative difference up to which two sample periods are the same."""
@@ -162,15 +164,20 @@ class _DraftText:
     def _currents(self) -> list[str]:
         i = self._choice.currents
         lines = [f"  fields: {listed(i.group.names)}", *_frame(i)]
-        scale = i.unit_factor
-        if scale == 1.0 and float(np.abs(i.values).max()) > _LARGEST_CURRENT:
-            scale = 0.001
-            self._unsure.append(
-                f"The currents reach {np.abs(i.values).max():.3g}, so they are taken as mA: correct scale if not."
-            )
-        scale *= self._choice.reading.voltage_sign
-        if scale != 1.0:
-            lines.append(f"  scale: {scale:g}")
+        zero, largest = zero_reading(i), float(np.abs(i.values).max())
+        scale, said, sign = i.unit_factor, "", self._choice.reading.voltage_sign
+        if zero.any():
+            said = f"A per count: these are readings of a converter, {_numbers(zero)} without current"
+        elif scale == 1.0 and largest > _LARGEST_CURRENT:
+            scale, said = 0.001, f"taken as mA, for they reach {largest:.3g}"
+        elif scale == 1.0 and is_whole(i):
+            said = "A per count: these are whole numbers, without a unit"
+        if scale != 1.0 or sign < 0 or said:
+            lines.append(f"  scale: {scale * sign:g}{f'            # EDIT: {said}' if said else ''}")
+        if zero.any():
+            lines.append(f"  offset: {_numbers(-zero * sign)}       # EDIT: A; minus that reading times scale")
+        if said:
+            self._unsure.append(f"The scale of the currents is a guess ({said}): R and map depend on it.")
         return ["currents:", *self._time(i.table, lines)]
 
     def _voltages(self) -> list[str]:
@@ -389,6 +396,12 @@ class _DraftText:
 
 def _frame(found: PhaseGroup) -> list[str]:
     return [] if found.group.frame == "abc" else [f"  frame: {found.group.frame}"]
+
+
+def _numbers(x: FloatArray) -> str:
+    """Return one number where all are alike, or a list."""
+    each = [f"{number:.6g}" for number in x]
+    return each[0] if len(set(each)) == 1 else f"[{', '.join(each)}]"
 
 
 def _nice(period: float) -> str:

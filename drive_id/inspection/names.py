@@ -67,7 +67,7 @@ def unit_factor(name: str, unit: str = "") -> float:
 
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
     """Yield the triples of phases and the pairs of components among names, each once; triples of phases first."""
-    known, seen = set(names), set[tuple[str, ...]]()
+    known, seen, triples = set(names), set[tuple[str, ...]](), list[set[str]]()
     for group in (
         *_lines(names, known),
         *_triples(names, known),
@@ -75,8 +75,11 @@ def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
         *_two_phases(names, known),
         *_repeated(names, known),
     ):
-        if group.names not in seen:
+        two = group.frame == "abc" and len(group.names) == 2
+        part = two and any(three.issuperset(group.names) for three in triples)
+        if group.names not in seen and not part:
             seen.add(group.names)
+            triples += [set(group.names)] if len(group.names) == 3 else []
             yield group
 
 

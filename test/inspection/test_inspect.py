@@ -121,6 +121,12 @@ WRONG = {
         lambda s: {"i_abc": s.i_abc + 1e4 * (np.arange(len(s)) == 900)[:, None] * [1, 0, -1]},
     ),
     "unequal gains": ("zero_sequence", lambda s: {"i_abc": s.i_abc * [1.1, 1.0, 1.0]}),
+    "readings of a converter": ("zero_sequence", lambda s: {"i_abc": np.round(s.i_abc * 25) + 8192}),
+    "two readings of a converter": (
+        "current_offset",
+        lambda s: {"i_abc": (np.round(s.i_abc * 25) + 8192) @ [[1, 0, -1], [0, 1, -1], [0, 0, 0]]},
+    ),
+    "a phase of three times the gain": ("zero_sequence", lambda s: {"i_abc": s.i_abc * [1.0, 3.0, 1.0]}),
     "current offset": ("current_offset", lambda s: {"i_abc": s.i_abc + np.array([20.0, -10.0, -10.0])}),
     "voltage offset": ("voltage_offset", lambda s: {"u_abc": s.u_abc + np.array([8.0, -4.0, -4.0])}),
     "saturated current": ("current_clipped", lambda s: {"i_abc": np.clip(s.i_abc, -150.0, 150.0)}),
@@ -136,6 +142,8 @@ WRONG = {
 }
 
 
+REFUSED = ("readings of a converter", "two readings of a converter", "a phase of three times the gain")
+"""Sums, or constant parts, as large as the currents: each gave a map with a warning."""
 LONG = ("a loss of voltage", "drifting speed", "current offset")
 """What shows against several passes of a trajectory."""
 
@@ -169,6 +177,8 @@ def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples, long):
         text += "reference: {fields: [d, q]}\n"
     found = check(write_parquet(write_path, table), signals=parse_signals(text, "test"))
     assert code in [finding.code for finding in found.findings], found.findings
+    if name in REFUSED:
+        assert next(finding.kind for finding in found.findings if finding.code == code) == "error"
     told = json.loads(json.dumps(found.tree(), allow_nan=False))["findings"]
     entry = next(entry for entry in told if entry["code"] == code)
     assert set(entry) >= {"code", "message", "value"}
@@ -326,6 +336,39 @@ def test_a_speed_of_an_unknown_unit_tells_no_pole_pairs(name, known, tmp_path, s
     table = columns(samples, theta=None, omega=None, rot_cnt=resolver_of(samples, 16_384), **{name: speed})
     draft = check(write_parquet(tmp_path / "log.parquet", table)).draft
     assert parse_signals(draft.text, "the draft").resolver.pole_pairs == known
+
+
+READINGS = {
+    "14 bits": (lambda i: np.round(i * 25 + 8192), 1 / 25, "8192"),
+    "16 bits, small": (lambda i: np.round(i * 4 + 32_790), 1 / 4, "32768"),
+    "off the half": (lambda i: np.round(i * 8 + np.array([2148, 2136, 2200])), 1 / 8, "21"),
+    "volts of a Hall sensor": (lambda i: i * 0.008 + 2.5, 1 / 0.008, "2.5"),
+}
+"""Readings of currents, their scale, and the zero in the draft."""
+
+
+@pytest.mark.parametrize("phases", ["uvw", "uv"])
+@pytest.mark.parametrize("kind", READINGS)
+def test_readings_of_a_converter_get_scale_and_offset_to_edit(kind, phases, tmp_path, samples):
+    """They were taken for amperes: a disc of thousands of amperes, and R 88 % off."""
+    reading, scale, zero = READINGS[kind]
+    logged = {f"isense_{phase}": x for phase, x in zip(phases, reading(samples.i_abc).T, strict=False)}
+    path = write_parquet(tmp_path / "log.parquet", columns(samples, ia=None, ib=None, ic=None, **logged))
+    found = check(path)
+    assert not [finding for finding in found.findings if finding.kind == "error"]
+    assert zero in next(line for line in found.draft.text.splitlines() if "# EDIT: A per count" in line)
+    signals = parse_signals(found.draft.text, "the draft")
+    warnings = read_recording(path, signals).warnings
+    marked = [str(message.values["setting"]) for message in warnings if message.code == "guessed_setting"]
+    assert [setting.partition(":")[0] for setting in marked] == ["scale", "offset"]
+    i = signals.currents
+    assert i.scale == 1.0
+    told = replace(i, scale=scale, offset=tuple(offset * scale for offset in i.offsets))
+    read = read_recording(path, replace(signals, currents=told)).samples
+    away = np.abs(read.i_abc[:, :2] - samples.i_abc[: len(read), :2])
+    assert away.max() < 6.0  # the zero is known to some counts
+    only_scale = check(path, signals=replace(signals, currents=replace(i, scale=scale)))
+    assert any(finding.kind == "error" for finding in only_scale.findings)
 
 
 @pytest.mark.parametrize("ahead", [0.0, 0.5, 1.5])

@@ -45,7 +45,8 @@ _BEAT = 0.2
 
 _FOLLOWS = {
     "sample_period": "flux linkages and inductances are proportional to it",
-    "scale": "R and all fluxes are proportional to it",
+    "scale": "R and all fluxes, or all currents, are proportional to it",
+    "offset": "it goes with the scale, and the currents are off by its error",
     "pole_pairs": "the fluxes are inversely proportional to it",
     "angle_offset": "the map's axes turn by its error, and are exchanged or reversed by 90 degrees or more",
     "angle_advance": "R and the fluxes are wrong where the drive's angle is ahead, by 0.5 or 1.5 as a rule",

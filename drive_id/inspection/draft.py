@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -13,7 +13,7 @@ from drive_id.core.checks.recognition import is_count
 from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signal_sources import SPEED_UNITS
-from drive_id.inspection.choice import Choice, choose
+from drive_id.inspection.choice import Choice, blank_columns, choose
 from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.counts import is_whole, zero_reading
@@ -116,6 +116,8 @@ class _DraftText:
                 "The log has no time column: set sample_period in every section to the time between two rows (the "
                 f"draft assumes {GUESSED_PERIOD:g} s); speed and flux linkages depend on it."
             )
+        if blank := blank_columns(self._contents):
+            self._unsure.append(f"The log holds {blank}.")
         left = self.unexplained
         if left > _POOR:
             self._unsure.append(
@@ -163,19 +165,30 @@ class _DraftText:
 
     def _currents(self) -> list[str]:
         i = self._choice.currents
-        lines = [f"  fields: {listed(i.group.names)}", *_frame(i)]
+        lines = [f"  fields: {i.group.fields(i.signs)}", *_frame(i)]
         zero, largest = zero_reading(i), float(np.abs(i.values).max())
-        scale, said, sign = i.unit_factor, "", self._choice.reading.voltage_sign
+        factor, said = i.unit_factor, ""
         if zero.any():
             said = f"A per count: these are readings of a converter, {_numbers(zero)} without current"
-        elif scale == 1.0 and largest > _LARGEST_CURRENT:
-            scale, said = 0.001, f"taken as mA, for they reach {largest:.3g}"
-        elif scale == 1.0 and is_whole(i):
+        elif factor == 1.0 and largest > _LARGEST_CURRENT:
+            factor, said = 0.001, f"taken as mA, for they reach {largest:.3g}"
+        elif factor == 1.0 and is_whole(i):
             said = "A per count: these are whole numbers, without a unit"
-        if scale != 1.0 or sign < 0 or said:
-            lines.append(f"  scale: {scale * sign:g}{f'            # EDIT: {said}' if said else ''}")
+        sign = self._choice.reading.voltage_sign
+        scale = factor * sign * np.array(i.signs or (1,) * len(i.group.names))
+        if i.signs:
+            odd = " and ".join(name for name, own in zip(i.group.names, scale, strict=True) if own < 0)
+            self._unsure.append(
+                f"The current sensor of {odd} seems to be reversed, and its sign is changed: compare it."
+            )
+        offset = -zero * scale
+        if len(zero) == 2 and i.group.missing != 2 and i.group.frame == "abc":
+            scale = np.insert(scale, i.group.missing, factor * sign)
+            offset = np.insert(offset, i.group.missing, -offset.sum())
+        if np.any(scale != 1.0) or said:
+            lines.append(f"  scale: {_numbers(scale)}{f'            # EDIT: {said}' if said else ''}")
         if zero.any():
-            lines.append(f"  offset: {_numbers(-zero * sign)}       # EDIT: A; minus that reading times scale")
+            lines.append(f"  offset: {_numbers(offset)}       # EDIT: A; minus that reading times scale")
         if said:
             self._unsure.append(f"The scale of the currents is a guess ({said}): R and map depend on it.")
         return ["currents:", *self._time(i.table, lines)]
@@ -193,7 +206,9 @@ class _DraftText:
                 self._unsure.append(
                     "Currents and voltages have opposite signs: currents must be positive into the machine."
                 )
-        lines = [f"  fields: {listed(names)}", *_frame(u)]
+        if u.group.frame not in {group.frame for group in name_groups(names)}:
+            self._unsure.append(f"{', '.join(names)} explain far more as voltages between phases, ab, bc and ca.")
+        lines = [f"  fields: {replace(u.group, names=names).fields()}", *_frame(u)]
         full = full_scale(u)
         if full:
             lines.append(self._duty_scale(u, full))

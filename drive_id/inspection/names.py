@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 _PHASES = ("abc", "uvw", "rst", "123", "012", "xyz")
 _PAIRS = (("d", "q", "dq"), ("alpha", "beta", "alpha_beta"), ("al", "be", "alpha_beta"))
@@ -35,6 +36,15 @@ class NameGroup:
     names: tuple[str, ...]
     frame: str  # "abc", "line_to_line", "alpha_beta" or "dq"
     stem: str  # what the names have in common
+    missing: int = 2  # the phase that two of them lack, minus their sum
+
+    def fields(self, signs: Sequence[int] = ()) -> str:
+        """Return what a signals file says for them: phases in their order, a missing one before others as their sum."""
+        entries = [quoted(name) for name in self.names]
+        if self.frame == "abc" and len(entries) == 2 and self.missing != 2:
+            terms = zip(entries, signs or (1, 1), strict=True)
+            entries.insert(self.missing, "{" + ", ".join(f"{entry}: {-sign}" for entry, sign in terms) + "}")
+        return f"[{', '.join(entries)}]"
 
 
 def words(name: str) -> set[str]:
@@ -115,6 +125,15 @@ def _triples(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
 
 
 def _two_phases(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
+    """Yield any two of three phases, those of letters in use before neighbours of the alphabet."""
+    for name in names:
+        for phases, position in product(_PHASES, range(len(name))):
+            own = phases.upper() if name[position].isupper() else phases
+            head, tail = name[:position], name[position + 1 :]
+            there = [f"{head}{phase}{tail}" in known for phase in own]
+            if name[position] in own and sum(there) == 2 and (head + tail).strip():
+                two = tuple(f"{head}{own[k]}{tail}" for k in range(3) if there[k])
+                yield NameGroup(two, "abc", f"{head} {tail}", there.index(False))
     for name in names:
         for three, stem in _replaced(name):
             if known.issuperset(three[:2]) and three[2] not in known and stem:

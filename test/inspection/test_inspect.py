@@ -653,6 +653,87 @@ def test_drafts_for_line_to_line_voltages_milliamperes_and_no_time(tmp_path, sam
     np.testing.assert_allclose(read.u_abc, np.column_stack([u_a, u_b, u_c]), atol=1e-9)
 
 
+TWO = {
+    "R and T": (("I_R", None, "I_T"), "[I_R, {I_R: -1, I_T: -1}, I_T]"),
+    "2 and 3": ((None, "curr2", "curr3"), "[{curr2: -1, curr3: -1}, curr2, curr3]"),
+    "U and V": (("ph_U_amp", "ph_V_amp", None), "[ph_U_amp, ph_V_amp]"),
+}
+"""Which two currents are logged, and what the draft says of them."""
+
+
+def logged_currents(samples, names, factors):
+    logged = {name: x * factor for name, x, factor in zip(names, samples.i_abc.T, factors, strict=True) if name}
+    return columns(samples, ia=None, ib=None, ic=None, **logged)
+
+
+@pytest.mark.parametrize("reversed_", [False, True])
+@pytest.mark.parametrize("two", TWO)
+def test_any_two_currents_get_a_draft(two, reversed_, tmp_path, samples):
+    """Those of a and c held no two sets, and b and c passed for a and b; nor did one with its sensor reversed."""
+    names, fields = TWO[two]
+    second = max(k for k in range(3) if names[k])
+    factors = [-1 if reversed_ and k == second else 1 for k in range(3)]
+    path = write_parquet(tmp_path / "log.parquet", logged_currents(samples, names, factors))
+    draft = check(path).draft
+    assert f"fields: {fields}" in draft.text or reversed_
+    assert any(f"of {names[second]} seems to be reversed" in said for said in draft.unsure) == reversed_
+    signals = parse_signals(draft.text, "the draft")
+    assert signals.voltages.fields == ("ua", "ub", "uc")
+    read = read_recording(path, signals).samples
+    assert np.abs(read.i_abc - samples.i_abc).max() < 5 * np.abs(samples.i_abc.sum(axis=1)).max()
+
+
+@pytest.mark.parametrize("bits", [False, True])
+@pytest.mark.parametrize("phase", range(3))
+def test_one_reversed_sensor_of_three_is_drafted_with_its_sign(phase, bits, tmp_path, samples):
+    factors = np.where(np.arange(3) == phase, -1, 1)
+    table = logged_currents(samples, ("Iu", "Iv", "Iw"), factors)
+    if bits:
+        table |= {name: np.round(table[name] * 20) + 8192 for name in ("Iu", "Iv", "Iw")}
+    found = check(write_parquet(tmp_path / "log.parquet", table))
+    assert any(f"of I{'uvw'[phase]} seems to be reversed" in sentence for sentence in found.draft.unsure)
+    currents = parse_signals(found.draft.text, "the draft").currents
+    assert currents.scale == tuple(map(float, factors))
+    assert currents.offsets == (tuple(-8192.0 * factors) if bits else (0.0,) * 3)
+    assert not [finding for finding in found.findings if finding.kind == "error"]
+
+
+@pytest.mark.parametrize("names", [("V1", "V2", "V3"), ("U_u", "U_v", "U_w")])
+@pytest.mark.parametrize("between", [False, True])
+def test_voltages_between_phases_are_told_by_their_values(between, names, tmp_path, samples):
+    """A fit refused the draft of those that are not called ab, bc and ca."""
+    u = samples.u_abc - samples.u_abc.mean(axis=1, keepdims=True)
+    logged = u - np.roll(u, -1, axis=1) if between else u
+    table = columns(samples, ua=None, ub=None, uc=None, **dict(zip(names, logged.T, strict=True)))
+    found = check(write_parquet(tmp_path / "log.parquet", table))
+    assert any("as voltages between phases" in sentence for sentence in found.draft.unsure) == between
+    signals = parse_signals(found.draft.text, "the draft")
+    assert signals.voltages.frame == ("line_to_line" if between else "abc")
+    assert not [finding for finding in found.findings if finding.kind == "error"]
+
+
+def test_what_was_found_is_named_where_it_is_not_enough(tmp_path, samples):
+    table = {"t": samples.stamp * 1e-9, "theta": np.mod(samples.angle, 2 * np.pi)}
+    table |= {f"phase_{phase}": x for phase, x in zip("abc", samples.i_abc.T, strict=True)}
+    (found,) = check(write_parquet(tmp_path / "log.parquet", table)).findings
+    assert "no two sets of phase quantities that share their time" in found
+    assert "(there is phase_a, phase_b, phase_c)" in found
+
+
+@pytest.mark.parametrize(("start", "captures"), [(86_399.4, 1), (43_199.4, 1), (43_199.4, 2)])
+def test_midnight_is_no_restart(start, captures, tmp_path, samples):
+    table = columns(samples)
+    clock = [str(timedelta(seconds=(start + t) % 86_400)) for t in np.round(table.pop("time_s"), 6).tolist()]
+    rows = csv_text(table).splitlines()
+    lines = [f"{time},{row}" for time, row in zip(clock, rows, strict=True)] * captures
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([",".join(["Clock time", *table]), *lines]) + "\n", encoding="utf-8")
+    read = read_recording(path, parse_signals(check(path).draft.text, "the draft"))
+    assert len(read.samples) == captures * len(samples)
+    assert len([*read.samples.runs()]) == captures
+    assert [message.code for message in read.warnings].count("time_restarts") == captures - 1
+
+
 def test_single_missing_values_are_named_and_do_not_prevent_a_draft(tmp_path, samples):
     table = columns(samples)
     table["ia"] = np.where(np.arange(len(samples)) % 4000 == 7, np.nan, table["ia"])

@@ -75,7 +75,7 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     """
     parts = [part for table in contents.tables for part in by_presence(_with_time(table))]
     tables = together([timed(_filled(part), contents) for part in parts])
-    tables = [_onward(table) for table in tables]
+    tables = [_onward(_distinct(table)) for table in tables]
     if not any(len(table.stamp) for table in tables):
         tables = [numbered(table) for table in tables]
     tables = [table for table in tables if len(table.stamp) > FEWEST and table.columns]
@@ -167,6 +167,17 @@ def by_presence(table: Table) -> Iterator[Table]:
         yield replace(
             table, columns={name: table.columns[name][rows] for name in table.columns if name in {*names, *full}}
         )
+
+
+def _distinct(table: Table) -> Table:
+    """Return a table without rows that are those before, time and all, which a fit cuts out: they are no jitter."""
+    columns = [x for x in table.columns.values() if len(x) == len(table.stamp)]
+    same = np.all([np.diff(x) == 0 for x in (table.stamp, *columns)], axis=0)
+    if not same.any():
+        return table
+    kept = np.append(True, ~same)
+    shortened = {name: x[kept] if len(x) == len(kept) else x for name, x in table.columns.items()}
+    return replace(table, stamp=table.stamp[kept], columns=shortened)
 
 
 def _onward(table: Table) -> Table:

@@ -83,6 +83,20 @@ def narrow(samples):
     return {name: getattr(samples, name)[kept] for name in names} | {"run_starts": starts}
 
 
+def doubled(samples):
+    """Rows of which each hundredth is there twice."""
+    at = np.arange(len(samples))
+    return at - (at % 100 == 40)
+
+
+def tripped(samples, u_abc, at=11_700):
+    """From a sample on, the currents die out within 0.5 ms, and the log holds these voltages."""
+    die = np.exp(-np.maximum(np.arange(len(samples)) - at, 0) / 5.0)[:, None]
+    u = samples.u_abc.copy()
+    u[at:] = u_abc
+    return {"i_abc": samples.i_abc * die, "u_abc": u, "i_dq_reference": None}
+
+
 RNG = np.random.default_rng(5)
 WRONG = {
     "duty cycles": ("duty_cycles", lambda s: {"u_abc": s.u_abc / 400 + 0.5}),
@@ -137,12 +151,32 @@ WRONG = {
     ),
     "coarse converter": ("phase_quantized", lambda s: {"i_abc": np.round(s.i_abc / 10) * 10}),
     "one corner": ("coverage", narrow),
+    "every third current": ("held_currents", lambda s: {"i_abc": np.repeat(s.i_abc[::3], 3, axis=0)[: len(s)]}),
+    "every second row": (
+        "held_currents",
+        lambda s: {name: np.repeat(getattr(s, name)[::2], 2, axis=0)[: len(s)] for name in ("i_abc", "u_abc")},
+    ),
+    "doubled rows": (
+        "repeated_rows",
+        lambda s: {name: getattr(s, name)[doubled(s)] for name in ("i_abc", "u_abc", "angle", "i_dq_reference")},
+    ),
+    "currents of before": ("repeated_rows", lambda s: {"i_abc": s.i_abc[doubled(s)]}),
+    "a trip": ("inverter_tripped", lambda s: tripped(s, s.u_abc[11_700])),
+    "a trip that the control does not notice": ("inverter_tripped", lambda s: tripped(s, s.u_abc[7000:], 7000)),
+    "a trip with its voltages": ("inverter_tripped", lambda s: tripped(s, 0.0)),
     "jitter": ("stamp_jitter", lambda s: {"stamp": s.stamp + RNG.integers(-30_000, 30_000, len(s))}),
     "gaps": ("gaps", lambda s: {"stamp": s.stamp + 1_000_000 * (np.arange(len(s)) > 5000)}),
 }
 
 
-REFUSED = ("readings of a converter", "two readings of a converter", "a phase of three times the gain")
+REFUSED = (
+    "every third current",
+    "every second row",
+    "a trip",
+    "readings of a converter",
+    "two readings of a converter",
+    "a phase of three times the gain",
+)
 """Sums, or constant parts, as large as the currents: each gave a map with a warning."""
 LONG = ("a loss of voltage", "drifting speed", "current offset")
 """What shows against several passes of a trajectory."""
@@ -718,6 +752,18 @@ def test_what_was_found_is_named_where_it_is_not_enough(tmp_path, samples):
     (found,) = check(write_parquet(tmp_path / "log.parquet", table)).findings
     assert "no two sets of phase quantities that share their time" in found
     assert "(there is phase_a, phase_b, phase_c)" in found
+
+
+def test_rows_that_are_there_twice_are_no_jitter(tmp_path, samples):
+    """The draft took them for samples of their own, equally spaced: the period, and all fluxes, were 1 % off."""
+    table = {name: x[doubled(samples)] for name, x in columns(samples).items()}
+    path = write_parquet(tmp_path / "log.parquet", table)
+    draft = check(path).draft
+    assert "equally_spaced" not in draft.text
+    assert "sample_period: 0.0001" in draft.text
+    read = read_recording(path, parse_signals(draft.text, "the draft"))
+    assert read.samples.sample_period == pytest.approx(1e-4)
+    assert "stamps_cut" in {message.code for message in read.warnings}
 
 
 @pytest.mark.parametrize(("start", "captures"), [(86_399.4, 1), (43_199.4, 1), (43_199.4, 2)])

@@ -16,8 +16,9 @@ from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.inspection.clock import FEWEST, PERIODS, numbered, regular_stamps, timed, together
 from drive_id.inspection.contents import Contents, Table
+from drive_id.inspection.counts import zero_reading
 from drive_id.inspection.duty import full_scale
-from drive_id.inspection.names import name_groups, suggests, words
+from drive_id.inspection.names import NameGroup, name_groups, suggests, words
 from drive_id.inspection.points import AngleColumn, PhaseGroup, angle_points, current_points, dc_link, voltage_points
 from drive_id.types import FloatArray, Samples
 
@@ -27,6 +28,10 @@ _SPANS = 5
 """Excerpts, spread over the log."""
 _BALANCED = 0.35
 """Relative difference of the sizes of three phases, as gains of current sensors and a short log may cause."""
+_SUM = 0.05
+"""Deviation of the sum of three currents, one of them with its sign changed, by that of all."""
+_BETWEEN, _LEAST_BETWEEN = 0.6, 0.005
+"""Largest ratio of unexplained voltage, and least of it before, by which voltages are those between phases."""
 _MOST_TRIED = 12
 """Combinations of currents, voltages and angle that are tried: each takes some tenths of a second."""
 _LARGEST = 1e30
@@ -70,7 +75,7 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     """
     parts = [part for table in contents.tables for part in by_presence(_with_time(table))]
     tables = together([timed(_filled(part), contents) for part in parts])
-    tables = [_onward(table) for table in tables]
+    tables = [_onward(_distinct(table)) for table in tables]
     if not any(len(table.stamp) for table in tables):
         tables = [numbered(table) for table in tables]
     tables = [table for table in tables if len(table.stamp) > FEWEST and table.columns]
@@ -93,16 +98,44 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     if choice is None:
         raise ConfigurationError(
             f"{contents.path} holds no two sets of phase quantities that share their time with an angle"
-            f"{_blank(contents)}: write the signals file by hand, from config/signals_example_stranger.yaml or "
-            "signals_example_columns.yaml."
+            f"{_seen(groups)}{_blank(contents)}: write the signals file by hand, from "
+            "config/signals_example_stranger.yaml or signals_example_columns.yaml."
         )
-    return tables, choice
+    return tables, _between_phases(choice, tables)
+
+
+def _between_phases(choice: Choice, tables: Sequence[Table]) -> Choice:
+    """Return the choice with its three voltages as those between phases, where they explain far more as such.
+
+    These sum to zero, whatever they are called.
+    """
+    u, left = choice.voltages, choice.reading.unexplained
+    three = u.group.frame == "abc" and len(u.group.names) == 3 and not full_scale(u)
+    if not three or left < _LEAST_BETWEEN or np.abs(u.values.sum(axis=1)).max() > _SUM * np.abs(u.values).max():
+        return choice
+    taken = (*choice.currents.group.names, *u.group.names, choice.angle.name)
+    lines = replace(u, group=replace(u.group, frame="line_to_line"))
+    other = _read(choice.currents, lines, choice.angle, dc_link(tables, taken))
+    straight = other is not None and other.reading.voltage_order == (0, 1, 2) and other.reading.voltage_sign > 0
+    return other if other and straight and other.reading.unexplained < _BETWEEN * left else choice
+
+
+def _seen(groups: Sequence[PhaseGroup]) -> str:
+    """Return the clause that names the phase quantities that were found; empty if there are none."""
+    found = [", ".join(found.group.names) for found in groups]
+    return f" (there {'is' if len(found) == 1 else 'are'} {' and '.join(found[:2])})" if found else ""
+
+
+def blank_columns(contents: Contents) -> str:
+    """Return what names columns whose values are all blank or invalid; empty if there are none."""
+    blank = [name for table in contents.tables for name, x in table.columns.items() if len(x) and np.isnan(x).all()]
+    return f"{', '.join(blank[:3])} without a valid value" if blank else ""
 
 
 def _blank(contents: Contents) -> str:
-    """Return the clause that names columns whose values are all blank or invalid; empty if there are none."""
-    blank = [name for table in contents.tables for name, x in table.columns.items() if len(x) and np.isnan(x).all()]
-    return f" ({', '.join(blank[:3])} without a valid value)" if blank else ""
+    """Return a clause of them; empty if there are none."""
+    blank = blank_columns(contents)
+    return f" ({blank})" if blank else ""
 
 
 # -- recognizing ---------------------------------------------------------------------------------------------------
@@ -134,6 +167,17 @@ def by_presence(table: Table) -> Iterator[Table]:
         yield replace(
             table, columns={name: table.columns[name][rows] for name in table.columns if name in {*names, *full}}
         )
+
+
+def _distinct(table: Table) -> Table:
+    """Return a table without rows that are those before, time and all, which a fit cuts out: they are no jitter."""
+    columns = [x for x in table.columns.values() if len(x) == len(table.stamp)]
+    same = np.all([np.diff(x) == 0 for x in (table.stamp, *columns)], axis=0)
+    if not same.any():
+        return table
+    kept = np.append(True, ~same)
+    shortened = {name: x[kept] if len(x) == len(kept) else x for name, x in table.columns.items()}
+    return replace(table, stamp=table.stamp[kept], columns=shortened)
 
 
 def _onward(table: Table) -> Table:
@@ -170,8 +214,12 @@ def _groups(table: Table) -> Iterator[PhaseGroup]:
         stem = group.stem
         if any(units):
             stem = f"{group.stem} [{units.pop()}]"
-        if np.isfinite(values).all() and (group.frame not in ("abc", "line_to_line") or _balanced(values)):
-            yield PhaseGroup(table, replace(group, stem=stem), values)
+        if not np.isfinite(values).all():
+            continue
+        balanced = group.frame not in ("abc", "line_to_line") or _balanced(values)
+        signs = () if balanced or group.frame != "abc" or suggests(stem, "voltage") else _one_reversed(values)
+        if balanced or signs:
+            yield PhaseGroup(table, replace(group, stem=stem), values, signs)
 
 
 def _balanced(values: FloatArray) -> bool:
@@ -182,9 +230,23 @@ def _balanced(values: FloatArray) -> bool:
     return bool(size.min() > 0 and size.max() / size.min() < 1 + _BALANCED)
 
 
-def _three(values: FloatArray) -> FloatArray:
-    """Return three phases (N, 3); the third of two is minus their sum."""
-    return values if values.shape[1] == 3 else np.column_stack([values, -values.sum(axis=1)])
+def _one_reversed(values: FloatArray) -> tuple[int, ...]:
+    """Return the signs of phases (N, 2 or 3) by which they balance, one of them negative; empty if none do.
+
+    Of three, they sum to zero then. Of two, which one is reversed follows from the voltages.
+    """
+    part = values - values.mean(axis=0)
+    for k in range(1, len(part.T) + 1):
+        signs = np.where(np.arange(len(part.T)) == len(part.T) - k, -1, 1)
+        left = _three(part * signs).sum(axis=1)
+        if _balanced(part * signs) and left.std() < _SUM * part.std():
+            return tuple(int(sign) for sign in signs)
+    return ()
+
+
+def _three(values: FloatArray, missing: int = 2) -> FloatArray:
+    """Return three phases (N, 3); the ``missing`` one of two is minus their sum."""
+    return values if values.shape[1] == 3 else np.insert(values, missing, -values.sum(axis=1), axis=1)
 
 
 def _angles(table: Table) -> Iterator[AngleColumn]:
@@ -210,6 +272,7 @@ def _chosen(
         (i, u)
         for i in currents
         for u in voltages
+        if not u.signs
         if i.table.name != u.table.name or not set(i.group.names) & set(u.group.names)
     ]
     pairs.sort(key=lambda pair: current_points(pair[0]) + voltage_points(pair[1]), reverse=True)
@@ -229,6 +292,7 @@ def _chosen(
 
 def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str] | None) -> Choice | None:
     """Read the angle in the likeliest way, for these currents and voltages."""
+    logged, i = i, replace(i, values=(i.values - zero_reading(i)) * (i.signs or 1))
     options: list[tuple[float, float | None, tuple[int, ...] | None]] = []
     if angle.like.turn:
         options.append((angle.like.turn, None, None))
@@ -248,7 +312,7 @@ def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str
         in_rotor = "dq" in (i.group.frame, u.group.frame)
         found = likely_reading(_runs(samples), largest, (1,) if in_rotor else ratios) if largest > 0 else None
         if found is not None and (best is None or found.unexplained < best.reading.unexplained):
-            best = Choice(i, u, angle, found, turn, modulus, samples)
+            best = Choice(logged, u, angle, found, turn, modulus, samples)
     return best
 
 
@@ -256,7 +320,7 @@ def _by_rotation(u: PhaseGroup, angle: AngleColumn) -> list[tuple[float, float |
     """Return the counts per revolution, modulus and pole pairs that make the angle rotate with the voltages."""
     if u.group.frame == "dq":
         return []
-    z = _vector(u.group.frame, u.values)
+    z = _vector(u.group, u.values)
     seconds = float(u.table.stamp[-1] - u.table.stamp[0])
     x = angle.like.unwrapped(angle.values)
     moved = float(x[-1] - x[0]) / float(angle.table.stamp[-1] - angle.table.stamp[0]) * seconds
@@ -268,15 +332,14 @@ def _by_rotation(u: PhaseGroup, angle: AngleColumn) -> list[tuple[float, float |
 
 
 def _vector(
-    frame: str, values: FloatArray, theta: FloatArray | None = None
+    group: NameGroup, values: FloatArray, theta: FloatArray | None = None
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.complex128]]:
     """Return the space vector of phase quantities or components, those in d and q at the angles ``theta``."""
-    if frame in ("alpha_beta", "dq"):
+    if group.frame in ("alpha_beta", "dq"):
         z = values[:, 0] + 1j * values[:, 1]
-        return np.asarray(z if theta is None or frame == "alpha_beta" else z * np.exp(1j * theta))
-    if frame == "line_to_line":  # leads the phases by 30 degrees, larger by the root of 3
-        return np.asarray(_LINES * _vector("abc", values))
-    return np.asarray(frames.space_vector(_three(values)))
+        return np.asarray(z if theta is None or group.frame == "alpha_beta" else z * np.exp(1j * theta))
+    z = frames.space_vector(_three(values, group.missing))
+    return np.asarray(_LINES * z if group.frame == "line_to_line" else z)  # which lead by 30 degrees, and are larger
 
 
 def _samples(
@@ -294,10 +357,10 @@ def _samples(
     x = x * (2 * np.pi / angle.like.turn)
     at = regular_stamps(angle.table)
     theta = np.interp((clock - clock[0]).astype(float), (at - clock[0]).astype(float), x)
-    i_s = _vector(i.group.frame, i.values, theta)
+    i_s = _vector(i.group, i.values, theta)
     at = regular_stamps(u.table)
     u_values = u.values if u.table is i.table and len(u.values) == len(clock) else u.values[nearest(clock, at)]
-    u_s = _vector(u.group.frame, u_values, theta)
+    u_s = _vector(u.group, u_values, theta)
     full = full_scale(u)
     u_s = u_s / (full or 1.0)
     if dc is not None and full:

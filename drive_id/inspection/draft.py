@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
@@ -13,14 +13,16 @@ from drive_id.core.checks.recognition import is_count
 from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signal_sources import SPEED_UNITS
-from drive_id.inspection.choice import Choice, choose
+from drive_id.inspection.choice import Choice, blank_columns, choose
 from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
+from drive_id.inspection.counts import is_whole, zero_reading
 from drive_id.inspection.duty import full_scale
-from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests
+from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
 from drive_id.inspection.static_draft import is_slow, static_draft
 from drive_id.quantity import counted
+from drive_id.types import FloatArray
 
 _SAME_RATE = 0.005
 """Relative difference up to which two sample periods are the same."""
@@ -36,10 +38,19 @@ _SAME_SPEED = 0.004
 """Relative difference of a speed and that of the angle, up to which they are the same."""
 _NO_OFFSET = 0.035
 """Estimated offset, rad, that is not told from none."""
+_NO_OFFSET_IN_ROTOR = 0.2
+"""The same where one side is logged in d and q: the drive's own frame is that of the angle, and an estimate, some
+degrees off, would turn voltages against currents."""
 _COARSE = 1e-3
 """Electrical angle of one count, rad, from which the angle is smoothed."""
 _SMOOTHING = 0.003
 """Time over which it is smoothed, s: short beside the acceleration of a shaft."""
+_COUNTER = 1 << 16
+"""Value at which a counter of 16 bits starts again, whatever the counts of a turn."""
+_RESOLVERS = {"resolver", "res", "rdc", "rslv"}
+"""Words of a sensor that may have several pole pairs of its own."""
+_RPM = {"rpm", "min", "umin", "n", "drehzahl"}
+"""Words of a speed in rpm: of six times as many pole pairs, it would be in degrees per second."""
 _GAP = 1.5
 """Median steps of the stamps, from which on samples are missing between."""
 
@@ -105,6 +116,8 @@ class _DraftText:
                 "The log has no time column: set sample_period in every section to the time between two rows (the "
                 f"draft assumes {GUESSED_PERIOD:g} s); speed and flux linkages depend on it."
             )
+        if blank := blank_columns(self._contents):
+            self._unsure.append(f"The log holds {blank}.")
         left = self.unexplained
         if left > _POOR:
             self._unsure.append(
@@ -152,16 +165,32 @@ class _DraftText:
 
     def _currents(self) -> list[str]:
         i = self._choice.currents
-        lines = [f"  fields: {listed(i.group.names)}", *_frame(i)]
-        scale = i.unit_factor
-        if scale == 1.0 and float(np.abs(i.values).max()) > _LARGEST_CURRENT:
-            scale = 0.001
+        lines = [f"  fields: {i.group.fields(i.signs)}", *_frame(i)]
+        zero, largest = zero_reading(i), float(np.abs(i.values).max())
+        factor, said = i.unit_factor, ""
+        if zero.any():
+            said = f"A per count: these are readings of a converter, {_numbers(zero)} without current"
+        elif factor == 1.0 and largest > _LARGEST_CURRENT:
+            factor, said = 0.001, f"taken as mA, for they reach {largest:.3g}"
+        elif factor == 1.0 and is_whole(i):
+            said = "A per count: these are whole numbers, without a unit"
+        sign = self._choice.reading.voltage_sign
+        scale = factor * sign * np.array(i.signs or (1,) * len(i.group.names))
+        if i.signs:
+            odd = " and ".join(name for name, own in zip(i.group.names, scale, strict=True) if own < 0)
             self._unsure.append(
-                f"The currents reach {np.abs(i.values).max():.3g}, so they are taken as mA: correct scale if not."
+                f"The current sensor of {odd} seems to be reversed, and its sign is changed: compare it."
             )
-        scale *= self._choice.reading.voltage_sign
-        if scale != 1.0:
-            lines.append(f"  scale: {scale:g}")
+        offset = -zero * scale
+        if len(zero) == 2 and i.group.missing != 2 and i.group.frame == "abc":
+            scale = np.insert(scale, i.group.missing, factor * sign)
+            offset = np.insert(offset, i.group.missing, -offset.sum())
+        if np.any(scale != 1.0) or said:
+            lines.append(f"  scale: {_numbers(scale)}{f'            # EDIT: {said}' if said else ''}")
+        if zero.any():
+            lines.append(f"  offset: {_numbers(offset)}       # EDIT: A; minus that reading times scale")
+        if said:
+            self._unsure.append(f"The scale of the currents is a guess ({said}): R and map depend on it.")
         return ["currents:", *self._time(i.table, lines)]
 
     def _voltages(self) -> list[str]:
@@ -177,7 +206,9 @@ class _DraftText:
                 self._unsure.append(
                     "Currents and voltages have opposite signs: currents must be positive into the machine."
                 )
-        lines = [f"  fields: {listed(names)}", *_frame(u)]
+        if u.group.frame not in {group.frame for group in name_groups(names)}:
+            self._unsure.append(f"{', '.join(names)} explain far more as voltages between phases, ab, bc and ca.")
+        lines = [f"  fields: {replace(u.group, names=names).fields()}", *_frame(u)]
         full = full_scale(u)
         if full:
             lines.append(self._duty_scale(u, full))
@@ -189,10 +220,12 @@ class _DraftText:
             )
         if u.group.frame == "dq":
             lines.append(
-                "  angle_advance: 0.0  # EDIT if the drive transforms them back with an angle ahead: often 1.5"
+                "  angle_advance: 0.0  # EDIT: samples by which the drive's angle is ahead as it transforms them back: "
+                "often 0.5 or 1.5"
             )
             self._unsure.append(
-                "The voltages are d and q components: set angle_advance if the drive compensates its delay."
+                "The voltages are d and q components: set angle_advance if the drive compensates its delay, by 0.5 or "
+                "1.5 as a rule. At one speed, no data can tell; R follows it."
             )
         rate = u.table.period
         if rate and self._period and abs(rate / self._period - 1) > 2 * _SAME_RATE:
@@ -227,30 +260,28 @@ class _DraftText:
         choice, angle, reading = self._choice, self._choice.angle, self._choice.reading
         lines = [f"  angle: {quoted(angle.name)}"]
         unit = angle.like.unit
+        turn, pole_pairs, why = choice.turn, abs(reading.ratio[0]), ""
         if unit == "counts":
-            lines += ["  angle_unit: counts", f"  counts_per_turn: {choice.turn:g}"]
+            turn, pole_pairs, why = self._counts_of_turn()
+            lines += ["  angle_unit: counts", f"  counts_per_turn: {turn:.15g}"]
+            if pole_pairs == 1:
+                lines[-1] += "          # of an electrical turn"
             if choice.modulus:
                 lines.append(f"  angle_modulus: {choice.modulus:g}")
-            if choice.modulus or not angle.like.wraps:
-                self._unsure.append(
-                    "The encoder never starts again at a whole revolution: only the ratio of counts_per_turn and "
-                    "pole_pairs follows from the log."
-                )
         elif unit != "rad":
             lines.append(f"  angle_unit: {unit}")
-        pole_pairs = abs(reading.ratio[0])
-        if pole_pairs != 1 or unit == "counts":
-            lines += ["  mechanical: true", f"  pole_pairs: {pole_pairs}"]
+        if pole_pairs != 1:
+            lines += ["  mechanical: true", f"  pole_pairs: {pole_pairs}{why}"]
         if reading.ratio[0] < 0:
             lines.append("  direction: -1                   # counts against the order of the phases")
         lines += self._offset()
-        coarse = 2 * np.pi * pole_pairs / choice.turn if unit == "counts" else 0.0
+        coarse = 2 * np.pi * pole_pairs / turn if unit == "counts" else 0.0
         if coarse > _COARSE:
             lines.append(
                 f"  smoothing: {_SMOOTHING:g}                # s: one count is {coarse * 1e3:.2g} mrad electrical"
             )
         else:
-            lines += self._speed()
+            lines += self._speed(turn, pole_pairs)
         rate = angle.table.period
         if rate and abs(rate / self._period - 1) > _SAME_RATE:
             lines.append(
@@ -265,44 +296,83 @@ class _DraftText:
         offset = reading.angle_offset
         if reading.voltage_sign < 0:  # written as a sign of the currents, which turns the axes by half a turn
             offset -= float(np.copysign(np.pi, offset))
-        offset = offset if abs(offset) > _NO_OFFSET else 0.0
+        in_rotor = "dq" in (choice.currents.group.frame, choice.voltages.group.frame)  # in the drive's, by this angle
+        offset = offset if abs(offset) > (_NO_OFFSET_IN_ROTOR if in_rotor else _NO_OFFSET) else 0.0
         if not reading.certain_offset:
             self._unsure.append(
                 "The angle offset follows from the saliency only, so it may be wrong by a multiple of 90 degrees "
                 "(1.5708), which exchanges or reverses the axes: compare with the d axis of your drive."
             )
         said = "estimated; method full corrects the rest" if offset else "no offset was found"
+        if in_rotor:
+            said = "estimated to some degrees, and turns d and q as well" if offset else "of the drive's d axis"
         if not reading.certain_offset:
-            said = f"EDIT: rad; {said}, up to multiples of 1.5708"
+            said = f"{said}, up to multiples of 1.5708"
+        if (in_rotor and offset) or not reading.certain_offset:
+            said = f"EDIT: rad; {said}"
         return [f"  angle_offset: {offset:.4g}          # {said}"]
 
-    def _speed(self) -> list[str]:
+    def _counts_of_turn(self) -> tuple[float, int, str]:
+        """Return the counts of a turn, its pole pairs, and what makes them known; 1 for the electrical turn alone.
+
+        A resolver may start again several times per turn of the shaft, and a counter anywhere: without a speed of the
+        shaft, they show only the counts per electrical turn.
+        """
+        choice, angle = self._choice, self._choice.angle
+        pole_pairs = abs(choice.reading.ratio[0])
+        of_sensor = angle.like.wraps and pole_pairs > 1 and not (choice.modulus or choice.turn == _COUNTER)
+        of_sensor = of_sensor and not words(angle.name) & _RESOLVERS
+        electrical = choice.turn / pole_pairs
+        pairs, unit, _, name, sure = next(self._speeds(electrical), (1, "", 1, "", False))
+        if pairs > 1 and sure and suggests(name, "speed"):
+            return electrical * pairs, pairs, f"               # by {printable(name)}, in {unit} of the shaft"
+        if of_sensor:
+            return choice.turn, pole_pairs, "               # if the count starts again once per turn of the shaft"
+        self._unsure.append(
+            f"The log shows {electrical:.6g} counts per electrical turn, but not the pole pairs: for torque, give them "
+            "to analyze (--pole-pairs), or here with mechanical: true and the counts of a turn of the shaft."
+        )
+        return electrical, 1, ""
+
+    def _speed(self, turn: float, pole_pairs: int) -> list[str]:
         """Return the speed next to the angle, if the angle makes its unit clear."""
+        for pairs, unit, sign, name, _ in self._speeds(turn, most=_MOST_POLE_PAIRS if pole_pairs == 1 else 1):
+            scale = pairs * sign
+            why = f"   # {counted(pairs, 'pole pair')}: the angle is electrical, the speed that of the shaft"
+            scaled = [f"  speed_scale: {scale}{why if pairs > 1 else ''}"] if scale != 1 else []
+            return [f"  speed: {quoted(name)}", f"  speed_unit: {unit}", *scaled]
+        return ["  # no field is the speed of this angle: it is derived from the angle"]
+
+    def _speeds(self, turn: float, most: int = _MOST_POLE_PAIRS) -> Iterator[tuple[int, str, int, str, bool]]:
+        """Yield columns that are the speed of the angle, by its ``turn``, or a part of it by pole pairs.
+
+        Each as pole pairs, unit, sign, name, and whether these pole pairs and this unit are the only ones that fit.
+        """
         angle, choice = self._choice.angle, self._choice
         at = regular_stamps(angle.table)
         x = np.unwrap(angle.values, period=choice.modulus or choice.turn) if angle.like.wraps else angle.values
-        x = x * (2 * np.pi / choice.turn)
+        x = x * (2 * np.pi / turn)
         seconds = (at - at[0]) * 1e-9
         half = len(x) // 2
         if x[-1] == x[0] or not 0 < seconds[half] < seconds[-1]:
-            return ["  # no field is the speed of this angle: it is derived from the angle"]
+            return
         by_angle = np.array([(x[-1] - x[0]) / seconds[-1], (x[half] - x[0]) / seconds[half]])
-        pole_pairs = range(1, _MOST_POLE_PAIRS + 1) if abs(choice.reading.ratio[0]) == 1 else (1,)
         columns = sorted(angle.table.columns.items(), key=lambda column: not suggests(column[0], "speed"))
         for name, y in columns:
             if name in self._taken or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
                 continue
             means, named = np.array([y.mean(), y[:half].mean()]), suggests(name, "speed")
-            for pairs, (unit, factor) in product(pole_pairs, SPEED_UNITS.items()):
+            fitting: list[tuple[int, str, int]] = []
+            for pairs, (unit, factor) in product(range(1, _MOST_POLE_PAIRS + 1), SPEED_UNITS.items()):
                 ratios = means * factor * pairs / by_angle
                 near = np.abs(np.abs(ratios) - 1)
                 sure = named or (np.ptp(y) > 0 and pairs == 1) or (unit == "rpm" and near.max() < _SAME_SPEED / 4)
                 if near[0] < _SAME_SPEED and near[1] < 2.5 * _SAME_SPEED and sure:
-                    scale = pairs * (1 if ratios[0] > 0 else -1)
-                    why = f"   # {counted(pairs, 'pole pair')}: the angle is electrical, the speed that of the shaft"
-                    scaled = [f"  speed_scale: {scale}{why if pairs > 1 else ''}"] if scale != 1 else []
-                    return [f"  speed: {quoted(name)}", f"  speed_unit: {unit}", *scaled]
-        return ["  # no field is the speed of this angle: it is derived from the angle"]
+                    fitting.append((pairs, unit, 1 if ratios[0] > 0 else -1))
+            said = bool(words(f"{name} {angle.table.unit(name)}") & _RPM)
+            for pairs, unit, sign in fitting:
+                if pairs <= most:
+                    yield pairs, unit, sign, name, len(fitting) == 1 or (said and unit == "rpm")
 
     def _reference(self) -> list[str]:
         """Return the pair of columns that the currents follow."""
@@ -341,6 +411,12 @@ class _DraftText:
 
 def _frame(found: PhaseGroup) -> list[str]:
     return [] if found.group.frame == "abc" else [f"  frame: {found.group.frame}"]
+
+
+def _numbers(x: FloatArray) -> str:
+    """Return one number where all are alike, or a list."""
+    each = [f"{number:.6g}" for number in x]
+    return each[0] if len(set(each)) == 1 else f"[{', '.join(each)}]"
 
 
 def _nice(period: float) -> str:

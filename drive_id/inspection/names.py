@@ -6,6 +6,7 @@ import json
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 _PHASES = ("abc", "uvw", "rst", "123", "012", "xyz")
 _PAIRS = (("d", "q", "dq"), ("alpha", "beta", "alpha_beta"), ("al", "be", "alpha_beta"))
@@ -35,6 +36,15 @@ class NameGroup:
     names: tuple[str, ...]
     frame: str  # "abc", "line_to_line", "alpha_beta" or "dq"
     stem: str  # what the names have in common
+    missing: int = 2  # the phase that two of them lack, minus their sum
+
+    def fields(self, signs: Sequence[int] = ()) -> str:
+        """Return what a signals file says for them: phases in their order, a missing one before others as their sum."""
+        entries = [quoted(name) for name in self.names]
+        if self.frame == "abc" and len(entries) == 2 and self.missing != 2:
+            terms = zip(entries, signs or (1, 1), strict=True)
+            entries.insert(self.missing, "{" + ", ".join(f"{entry}: {-sign}" for entry, sign in terms) + "}")
+        return f"[{', '.join(entries)}]"
 
 
 def words(name: str) -> set[str]:
@@ -67,7 +77,7 @@ def unit_factor(name: str, unit: str = "") -> float:
 
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
     """Yield the triples of phases and the pairs of components among names, each once; triples of phases first."""
-    known, seen = set(names), set[tuple[str, ...]]()
+    known, seen, triples = set(names), set[tuple[str, ...]](), list[set[str]]()
     for group in (
         *_lines(names, known),
         *_triples(names, known),
@@ -75,8 +85,11 @@ def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
         *_two_phases(names, known),
         *_repeated(names, known),
     ):
-        if group.names not in seen:
+        two = group.frame == "abc" and len(group.names) == 2
+        part = two and any(three.issuperset(group.names) for three in triples)
+        if group.names not in seen and not part:
             seen.add(group.names)
+            triples += [set(group.names)] if len(group.names) == 3 else []
             yield group
 
 
@@ -112,6 +125,15 @@ def _triples(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
 
 
 def _two_phases(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
+    """Yield any two of three phases, those of letters in use before neighbours of the alphabet."""
+    for name in names:
+        for phases, position in product(_PHASES, range(len(name))):
+            own = phases.upper() if name[position].isupper() else phases
+            head, tail = name[:position], name[position + 1 :]
+            there = [f"{head}{phase}{tail}" in known for phase in own]
+            if name[position] in own and sum(there) == 2 and (head + tail).strip():
+                two = tuple(f"{head}{own[k]}{tail}" for k in range(3) if there[k])
+                yield NameGroup(two, "abc", f"{head} {tail}", there.index(False))
     for name in names:
         for three, stem in _replaced(name):
             if known.issuperset(three[:2]) and three[2] not in known and stem:

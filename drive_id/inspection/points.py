@@ -36,6 +36,7 @@ class PhaseGroup:
     table: Table
     group: NameGroup
     values: FloatArray
+    signs: tuple[int, ...] = ()  # of currents, one of which is reversed; empty: none is
 
     @property
     def label(self) -> str:

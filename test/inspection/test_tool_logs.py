@@ -171,10 +171,13 @@ def test_logs_of_other_tools(tool, tmp_path, samples, columns):
 
 def test_a_channel_without_a_valid_value_is_named(tmp_path, columns):
     path = tool_logs.mdf(tmp_path / "a.mf4", columns, {"ib": np.arange(N)})
-    found = check(path)
+    draft = check(path).draft
+    assert "The log holds ib without a valid value." in draft.unsure
+    assert "fields: [ia, {ia: -1, ic: -1}, ic]" in draft.text
+    found = check(tool_logs.mdf(tmp_path / "b.mf4", columns, {"ib": np.arange(N), "ic": np.arange(N)}))
     assert found.draft is None
     (finding,) = [finding for finding in found.findings if finding.code == "no_draft"]
-    assert "share their time with an angle (ib without a valid value): write the signals file" in finding
+    assert "(ib, ic without a valid value): write the signals file" in finding
 
 
 CAPTURES = {  # writer, and how many

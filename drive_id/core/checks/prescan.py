@@ -12,6 +12,7 @@ from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.checks.readings import degree_findings, reading_findings
+from drive_id.core.checks.repeats import repeat_findings
 from drive_id.core.checks.rotor import (
     SPEED_TOLERANCE,
     motion_findings,
@@ -188,6 +189,7 @@ class Prescan:
             degree_findings(runs, usual) if runs else none,
             self._on_trajectory(),
             self._single.findings(usual),
+            repeat_findings(runs, usual) if runs else none,
             waveform_findings(runs, usual) if runs else none,
             motion_findings(runs) if runs else none,
             reading_findings(runs, usual) if runs else none,

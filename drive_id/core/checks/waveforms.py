@@ -21,6 +21,8 @@ _SAME_SCALE = 1.3  # ratio of currents to references that a poor controller may 
 _LEAST_CORRELATION = 0.97  # of both, below which the controller does not follow and their ratio says nothing
 _ZERO_SEQUENCE = 0.02  # rms sum of the phase currents, by i_max: gains of sensors usually agree within 1 %
 _WHITE = 0.3  # correlation of successive sums, and share of their mean, below which they are noise
+_AS_LARGE = 0.5
+"""Rms sum, or constant part, of the currents by i_max, from which on they are no amperes of a machine."""
 _ODD_PHASE = 0.3  # difference of two phases' weights in the sum that is zero, by that of the third, which is odd then
 _REVERSED = 0.2  # distance of its gain from -1
 _AT_LIMIT = 2e-6  # relative width of a limit: float32 rounds to 6e-8
@@ -128,7 +130,8 @@ def _zero_sequence(i_abc: FloatArray, i_max: float) -> Iterator[Message]:
                 return
     if abs(total.mean()) > 0.7 * rms:
         values = {"zero_sequence": rms, "constant": total.mean()}
-    yield Message("zero_sequence", **values)
+    large = {"i_max": i_max} if rms > _AS_LARGE * i_max else {}
+    yield Message("zero_sequence.large" if large else "zero_sequence", **values, **large)
 
 
 def _stuck(runs: Sequence[Samples]) -> Iterator[Message]:
@@ -217,4 +220,6 @@ def _offsets(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
     for name, x, least in (("current", i, _CURRENT_OFFSET * i_max), ("voltage", u, _VOLTAGE_OFFSET * u_rms)):
         offset, spread = complex(x.mean()), float(x.std())
         if len(x) >= _FEWEST_TURNS and abs(offset) > max(least, _SCATTER * spread / np.sqrt(len(x))):
-            yield Message(f"{name}_offset", alpha=offset.real, beta=offset.imag, size=abs(offset))
+            large = name == "current" and abs(offset) > _AS_LARGE * i_max
+            code = f"{name}_offset.counts" if large else f"{name}_offset"
+            yield Message(code, alpha=offset.real, beta=offset.imag, size=abs(offset))

@@ -10,6 +10,8 @@ _GAP = 10
 """Steps of time between a capture and the next: more than the 1.5 from which on a new run begins."""
 _LATER = 16
 """Rows behind a step back that must stay behind it: fewer are late rows, which belong before it."""
+_DAY, _MIDNIGHT = 86_400_000_000_000, 60_000_000_000
+"""A day, and the longest pause, ns, around which a step back by less than a day is a time of day past midnight."""
 _MOST = 0.01
 """Share of the rows with a step back, from which on the times are in disorder, and no captures."""
 
@@ -45,6 +47,10 @@ class Restarts:
         moved = stamp + self._shift
         if self._step and len(back) and len(back) <= max(_MOST * len(stamp), 1):
             for k in back:
+                if 0 <= steps[k] + _DAY <= _MIDNIGHT:
+                    moved[k:] += _DAY
+                    self._shift += _DAY
+                    continue
                 largest = max(int(moved[:k].max(initial=moved[0])), self._last[1] if self._last else int(moved[0]))
                 if int(moved[k : k + _LATER].max()) > largest:
                     continue  # late rows

@@ -434,8 +434,8 @@ class SignalMap:
     """ROS distribution whose message definitions are used for bags that carry none."""
     definitions: dict[str, str] = field(default_factory=dict)
     """More message definitions, type name to ``.msg`` text, for bags that carry none."""
-    guessed: tuple[str, ...] = ()
-    """Settings that a signals file still marks as guesses, ``sample_period: 0.0001  # EDIT``."""
+    guessed: dict[str, int] = field(default_factory=dict)
+    """Settings that a signals file still marks as guesses, ``sample_period: 0.0001  # EDIT``, with their lines."""
 
     def sources(self) -> dict[str, TimeSource]:
         """Return the sources by name of their section, or of the optional signal."""

@@ -42,10 +42,8 @@ _MOST_ENTRIES = 10_000  # aliases followed
 DEFAULTS = "defaults"
 """Section with what all others share: topic or group, stamps and sample period."""
 _TIME = tuple(item.name for item in fields(TimeSource))
-_GUESS = re.compile(
-    r"^[ \t]*(sample_period|scale|pole_pairs|angle_offset):[ \t]*([^#\s]+)[ \t]*#[ \t]*EDIT", re.MULTILINE
-)
-"""A setting on which the whole result depends, with the mark by which a draft says that it is a guess."""
+_GUESS = re.compile(r"\s*([^#\s].*?)\s*#\s*EDIT\b")
+"""A setting, with the mark by which a draft says that it is a guess."""
 _NESTED: dict[type, tuple[str, ...]] = {
     PhaseSource: ("scale",),
     RotorSource: ("speed",),
@@ -96,8 +94,17 @@ def parse_signals(text: str, where: str) -> SignalMap:
             f"typestore in {where} is '{values['typestore']}': it must be one of {', '.join(TYPESTORES)}."
         )
     values["definitions"] = _definitions(tree.get("definitions", {}), where)
-    values["guessed"] = tuple(dict.fromkeys(f"{name}: {value}" for name, value in _GUESS.findall(text)))
+    values["guessed"] = _guesses(text)
     return SignalMap(**values)
+
+
+def _guesses(text: str) -> dict[str, int]:
+    """Return the settings that are marked EDIT, each with its first line."""
+    lines: dict[str, int] = {}
+    for number, line in enumerate(text.splitlines(), 1):
+        if (marked := _GUESS.match(line)) is not None:
+            lines.setdefault(marked[1], number)
+    return lines
 
 
 def _common(tree: dict[str, Any], section: str) -> dict[str, Any]:

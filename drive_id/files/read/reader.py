@@ -45,9 +45,11 @@ _BEAT = 0.2
 
 _FOLLOWS = {
     "sample_period": "flux linkages and inductances are proportional to it",
-    "scale": "R and all fluxes are proportional to it",
+    "scale": "R and all fluxes, or all currents, are proportional to it",
+    "offset": "it goes with the scale, and the currents are off by its error",
     "pole_pairs": "the fluxes are inversely proportional to it",
-    "angle_offset": "if it is wrong by a multiple of 90 degrees, the map's axes are exchanged or reversed",
+    "angle_offset": "the map's axes turn by its error, and are exchanged or reversed by 90 degrees or more",
+    "angle_advance": "R and the fluxes are wrong where the drive's angle is ahead, by 0.5 or 1.5 as a rule",
 }
 """What depends on a setting that was guessed."""
 
@@ -115,8 +117,9 @@ def bag_pieces(
 
 def guesses(signals: SignalMap) -> Iterator[Message]:
     """Yield the settings of a signals file that its draft guessed and nobody confirmed."""
-    for setting in signals.guessed:
-        yield Message("guessed_setting", setting=setting, what=_FOLLOWS[setting.partition(":")[0]])
+    for setting, line in signals.guessed.items():
+        what = _FOLLOWS.get(setting.partition(":")[0], "the result depends on it")
+        yield Message("guessed_setting", setting=setting, line=line, what=what)
 
 
 @contextmanager

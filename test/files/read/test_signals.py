@@ -194,3 +194,20 @@ def test_paths_that_lead_nowhere(message, path, said):
 def test_paths_that_are_none(text):
     with pytest.raises(ConfigurationError, match="write a field path"):
         parse_field_path(text, "fields")
+
+
+@pytest.mark.parametrize(
+    ("line", "setting"),
+    [
+        ("  angle_offset: 0.2  # EDIT", "angle_offset: 0.2"),
+        ("  direction: -1 #EDIT: which way?", "direction: -1"),
+        ("  angle_scale: 2.0\t# EDIT, half?", "angle_scale: 2.0"),
+        ("  # angle_offset: 0.2  # EDIT", None),
+        ("  angle_offset: 0.2  # EDITED by hand", None),
+        ("  angle_offset: 0.2  # no EDIT", None),
+    ],
+)
+def test_whatever_is_marked_as_a_guess_is_told(line, setting):
+    text = VALID + line + "\n"
+    found = parse_signals(text, "f").guessed
+    assert found == ({setting: text.count("\n")} if setting else {})

@@ -26,7 +26,7 @@ _OFF_SAMPLES, _OFF_TURN = 50, 0.5
 _ADJACENT = 1.5
 """Sample periods between runs up to which one continues the other."""
 _NOT_INDUCED = 0.2
-"""Deviation of the voltage in d and q meanwhile, by the rms voltage: what a magnet induces is constant there."""
+"""Deviation of the voltage in d and q meanwhile, by the rms voltage, from that of a magnet, which follows the speed."""
 
 
 def repeat_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
@@ -71,11 +71,12 @@ def _tripped(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
     u_rms = float(np.sqrt(np.mean(np.concatenate([np.abs(frames.space_vector(run.u_abc)) ** 2 for run in runs]))))
     for part in _without_current(runs, _OFF * i_max):
         u = np.concatenate([frames.space_vector(piece.u_abc) * np.exp(-1j * piece.angle) for piece in part])
-        turned = sum(float(np.abs(piece.speed).sum() * piece.sample_period) for piece in part)
+        speed = np.concatenate([piece.speed for piece in part])
+        turned = float(np.abs(speed).sum() * part[0].sample_period)
         if len(u) < _OFF_SAMPLES or turned < _OFF_TURN:
             continue
-        none = not u.any()
-        if none or float(np.std(u)) > _NOT_INDUCED * u_rms:
+        none, induced = not u.any(), speed * (speed @ u) / (speed @ speed)
+        if none or float(np.sqrt(np.mean(np.abs(u - induced) ** 2))) > _NOT_INDUCED * u_rms:
             at, end = (float(stamp - runs[0].stamp[0]) * 1e-9 for stamp in (part[0].stamp[0], part[-1].stamp[-1]))
             yield Message("inverter_tripped.idle" if none else "inverter_tripped", time=at, end=end)
             return

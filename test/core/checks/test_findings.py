@@ -17,6 +17,7 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks import readings
 from drive_id.core.checks.balance import Excerpt
 from drive_id.core.checks.prescan import Prescan
+from drive_id.core.checks.repeats import repeat_findings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import DataError
@@ -220,6 +221,25 @@ def test_what_a_rough_model_leaves_itself_is_no_shift(ipm, monkeypatch, share, l
     monkeypatch.setattr(readings, "rough_fit", lambda *_, **__: shifted)
     finding = readings._time_shift([run], declared)
     assert (finding is not None) == late
+
+
+@pytest.mark.parametrize(("induced", "codes"), [(0.12, []), (0.0, ["inverter_tripped"])])
+def test_a_new_speed_without_current_is_no_trip(induced, codes):
+    """Between two speeds, the voltage of the magnet changes with the speed, and its sign with it."""
+    n, period = 4000, 1e-4
+    speed = np.concatenate([np.full(n, 600.0), np.linspace(600.0, -500.0, n)])
+    angle = np.cumsum(speed) * period
+    i_s, flux = np.zeros(2 * n, complex), np.full(2 * n, 0.12 + 0.0j)
+    i_s[:n] = 80 * np.exp(2j * np.pi * 7 * period * np.arange(n))
+    flux[n:] = induced
+    noise = np.random.default_rng(2).normal(0.0, 0.1, (2 * n, 3))
+    i_abc, u_abc = (frames.phases(x * np.exp(1j * angle)) for x in (i_s, 1j * speed * flux + 0.02 * i_s))
+    if not codes:
+        u_abc += 0.01 * noise
+    else:
+        u_abc[n:] = u_abc[n - 1]  # held
+    run = Samples(np.arange(2 * n) * 100_000, i_abc + noise, u_abc, angle, speed, period)
+    assert [finding.code for finding in repeat_findings([run], 80.0)] == codes
 
 
 @pytest.mark.parametrize("turned", [0.0, 0.7, np.pi / 2])

@@ -45,7 +45,7 @@ LAST = (
 """Long tests without a common fixture: each one runs on whichever worker is free."""
 
 APART = ("test/test_page_commands.py",)
-"""Files whose test functions share no fixture and are long: each function runs on whichever worker is free."""
+"""Files whose test functions share no fixture and are long: each function runs on whichever worker is free, early."""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell; tests interrupt processes
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -116,7 +116,12 @@ def pytest_collection_modifyitems(config, items):
             item.add_marker(pytest.mark.timeout(NODES_TIMEOUT))
     if hasattr(config, "workerinput"):
         order = [*dict.fromkeys(GROUPS.values()), ""]
-        items.sort(key=lambda item: (order.index(group_of(item.nodeid)), item.nodeid.startswith(LAST)))
+        items.sort(key=lambda item: (order.index(group_of(item.nodeid)), place_of(item.nodeid)))
+
+
+def place_of(nodeid):
+    """Return 0 for what is long and cannot be divided, 2 for what divides best, and 1 for all others."""
+    return 0 if nodeid.startswith(APART) else 2 if nodeid.startswith(LAST) else 1
 
 
 def group_of(nodeid):

@@ -59,6 +59,10 @@ def messages_of(path):
         return [(message.topic, bytes(message.data)) for message in bag.messages(frozenset(TOPICS))]
 
 
+LOST = 30.0
+"""Time after which publishers that no subscription has met are made anew, s: a busy machine can lose a discovery."""
+
+
 class Player:
     """Publishes serialized messages as a drive would."""
 
@@ -67,16 +71,27 @@ class Player:
 
         from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT
 
-        self.ros = ros
-        qos = STREAM if reliable else STREAM_BEST_EFFORT
-        kinds = (PhaseCurrents, PhaseVoltages, Resolver)
-        self.publishers = {
-            topic: ros.node.create_publisher(kind, namespace + topic, qos)
-            for topic, kind in zip(TOPICS, kinds, strict=True)
-        }
+        self.ros, self.namespace = ros, namespace
+        self.qos = STREAM if reliable else STREAM_BEST_EFFORT
+        self.kinds = dict(zip(TOPICS, (PhaseCurrents, PhaseVoltages, Resolver), strict=True))
+        self.publishers = {}
+        self.open()
+
+    def open(self):
+        for topic, kind in self.kinds.items():
+            self.publishers[topic] = self.ros.node.create_publisher(kind, self.namespace + topic, self.qos)
 
     def wait_for_listeners(self):
-        self.ros.wait(lambda: all(p.get_subscription_count() for p in self.publishers.values()), "subscriptions")
+        begun = [time.monotonic()]
+
+        def heard():
+            if time.monotonic() - begun[0] > LOST:
+                self.close()
+                self.open()
+                begun[0] = time.monotonic()
+            return all(publisher.get_subscription_count() for publisher in self.publishers.values())
+
+        self.ros.wait(heard, "subscriptions")
 
     def play(self, messages):
         for topic, data in messages:

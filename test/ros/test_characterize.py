@@ -75,11 +75,11 @@ def test_a_missing_truth_is_one_sentence(characterize, tmp_path):
 
 
 def test_it_says_what_it_waits_for(run):
-    done = run("--start-up", "6")
+    done = run("--start-up", "10")  # told after 5 s, or as soon as a busy machine comes to it
     assert done.returncode == 1
     waiting = "waiting for experiment and identification and recorder and trajectory_publisher (the first start "
-    assert re.match(rf"1\. The nodes are started\.\n     [56] s  {re.escape(waiting)}", done.out)
-    assert done.err.startswith(f"characterize: After 6 s, still {waiting}")
+    assert re.match(rf"1\. The nodes are started\.\n     [5-9] s  {re.escape(waiting)}", done.out)
+    assert done.err.startswith(f"characterize: After 10 s, still {waiting}")
     assert len(done.err.splitlines()) == 1
 
 

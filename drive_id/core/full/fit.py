@@ -19,7 +19,7 @@ from drive_id.core.full.linearized import DELAY, EffectSearch, FoundEffects
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, effects_to_try, select, tested_causes
 from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver, correct_attenuation
-from drive_id.core.full.standard_errors import SIGNIFICANCE, changes_by_batch, residual_statistics, sigma
+from drive_id.core.full.standard_errors import SIGNIFICANCE, residual_statistics, sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.maps.flux_models import BasisRows, jacobian, positive_definite
@@ -31,8 +31,10 @@ _FORMS = 512  # whose standard errors are evaluated at a time
 _SLOPE_STEP = 0.02
 """Relative to i_max, over which the slope of the drop is taken: wider than the noise, narrower than the step."""
 _BY_SHAPE = 2.0
-"""Standard errors by which R changes with one further shape of the curve without being uncertain by that; with two, it
-is the square root of two times that."""
+"""Standard errors, for white residuals, by which R must change with the shape of the curve to be uncertain by that.
+
+With only what exceeds them, 91 % of 79 random drives had R within 1.96 standard errors, with all of it 95 %.
+"""
 _PASSIVE_POINTS = 41
 """Per axis, at which passivity is tested: two to three for each usual cell."""
 _STIFFER, _ROUNDS = 10.0, 7
@@ -221,7 +223,7 @@ def fit_full(
         by_rivals = _with_rivals(solver, uncertain, selection)
         biases.append(_with_undecided(solver, uncertain, selection))
         changes = np.column_stack(
-            [batches, *biases, misfit.changes, *by_rivals.values(), _among_curves(sums, solver, solution)]
+            [batches, *biases, misfit.changes, *by_rivals.values(), _among_curves(solver, solution)]
         )
         weak = _weakest(sums.model, solution, changes)
         if weak is None:
@@ -322,7 +324,7 @@ def _with_rivals(solver: Solver, solution: FullSolution, selection: Selection) -
     return out
 
 
-def _among_curves(sums: WindowSums, solver: Solver, solution: FullSolution) -> FloatArray:
+def _among_curves(solver: Solver, solution: FullSolution) -> FloatArray:
     """Return the change (size,) of the estimate with another curve of the inverter that moves R most, if beyond noise.
 
     Selecting a curve does not show that it is true, and R takes the difference. From one shape to the next, R may stand
@@ -332,11 +334,9 @@ def _among_curves(sums: WindowSums, solver: Solver, solution: FullSolution) -> F
     for wide in set(range(WIDE + 1)) - {spec.wide}:
         other = solver.solve(replace(spec, wide=wide))
         change = other.estimate - solution.estimate
-        one, two = (changes_by_batch(sums, each, RESISTANCE) for each in (solution, other))
-        noise = max(np.sqrt(abs(other.variance_of_resistance - solution.variance_of_resistance)), sigma(two - one))
-        of_noise = 0.0 if spec.wide else _BY_SHAPE * np.sqrt(wide) * noise / max(abs(change[RESISTANCE]), TINY)
-        change *= np.sqrt(max(1.0 - of_noise**2, 0.0))
-        if abs(change[RESISTANCE]) > abs(out[RESISTANCE]):
+        noise = np.sqrt(abs(other.variance_of_resistance - solution.variance_of_resistance))
+        beyond = spec.wide or abs(change[RESISTANCE]) > _BY_SHAPE * noise
+        if beyond and abs(change[RESISTANCE]) > abs(out[RESISTANCE]):
             out = change
     return out
 

@@ -70,7 +70,8 @@ def result(samples):
 
 def test_it_finds_the_truth_and_says_how_well(result):
     assert np.all(errors(result) < 1e-3)
-    assert abs(result.resistance - 0.02) < 4 * result.sigma_resistance < 4e-4
+    assert abs(result.resistance - 0.02) < 1e-4
+    assert result.sigma_resistance < 3e-4, "the drop's shape leaves 1.3 % of R open"
     np.testing.assert_allclose(result.inverter_voltage[-20:], 4.0, rtol=0.02)
     assert np.all(result.sigma_inverter_voltage[-20:] < 0.1)
     assert result.harmonics == ()

@@ -172,7 +172,6 @@ WRONG = {
 REFUSED = (
     "every third current",
     "every second row",
-    "a trip",
     "readings of a converter",
     "two readings of a converter",
     "a phase of three times the gain",

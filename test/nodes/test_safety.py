@@ -154,6 +154,7 @@ def test_another_drive_is_told_by_its_messages_only(safety):
         ([("ok", 7000)] * 3, "one map of two drives after 0 s"),
     ],
 )
+@pytest.mark.slow  # the drives of a cell are made
 def test_one_map_of_two_drives_is_a_finding(safety, monkeypatch, replies, found):
     from drive_id_msgs.srv import Identify
 

@@ -21,8 +21,11 @@ _STEPS = 5.0
 """Median step of a current that moves by its least step, below which a coarse converter explains that it repeats."""
 _OFF = 0.02
 """Current by i_max below which the inverter may be off."""
-_OFF_SAMPLES, _OFF_TURN = 50, 0.5
-"""Least samples in a row, and rad that the rotor turns meanwhile."""
+_OFF_SAMPLES, _OFF_TIME, _OFF_TURN = 50, 0.02, 0.5
+"""Least samples in a row, s, and rad that the rotor turns meanwhile.
+
+A swinging shaft has currents near zero for 8 ms, in which the inverter takes the voltage.
+"""
 _ADJACENT = 1.5
 """Sample periods between runs up to which one continues the other."""
 _NOT_INDUCED = 0.2
@@ -73,7 +76,7 @@ def _tripped(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
         u = np.concatenate([frames.space_vector(piece.u_abc) * np.exp(-1j * piece.angle) for piece in part])
         speed = np.concatenate([piece.speed for piece in part])
         turned = float(np.abs(speed).sum() * part[0].sample_period)
-        if len(u) < _OFF_SAMPLES or turned < _OFF_TURN:
+        if len(u) < max(_OFF_SAMPLES, _OFF_TIME / part[0].sample_period) or turned < _OFF_TURN:
             continue
         none, induced = not u.any(), speed * (speed @ u) / (speed @ speed)
         if none or float(np.sqrt(np.mean(np.abs(u - induced) ** 2))) > _NOT_INDUCED * u_rms:

@@ -112,9 +112,11 @@ def _zero_sequence(i_abc: FloatArray, i_max: float) -> Iterator[Message]:
     """Yield phase currents whose sum is not zero, with the phase that does not match the others."""
     total = i_abc.sum(axis=1)
     rms = float(np.sqrt(np.mean(total**2)))
+    if rms <= _ZERO_SEQUENCE * i_max:
+        return
     apart = total - total.mean()
-    white = abs(float(apart[1:] @ apart[:-1])) < _WHITE * float(apart @ apart) and abs(total.mean()) < rms * _WHITE
-    if rms <= _ZERO_SEQUENCE * i_max or white:  # noise of the sensors is no fault of their gains
+    white = abs(float(apart[1:] @ apart[:-1])) < _WHITE * float(apart @ apart)
+    if white and abs(total.mean()) < _WHITE * rms:  # noise of the sensors is no fault of their gains
         return
     size, vectors = np.linalg.eigh(i_abc.T @ i_abc / len(i_abc))
     weight = vectors[:, 0]

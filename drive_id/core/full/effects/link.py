@@ -26,7 +26,6 @@ _MISSED = 0.05
 """Share of the variation that noise of the log may hide or feign: of variations of 1 %, 0.05 % of the voltage."""
 _LEVELS = 0.005
 """Relative difference of the link's means from which on their reference matters: five times what maps are off by."""
-
 _MOST = 0.2
 """Amplitude of a ripple, relative to the link, beyond which a drive would have tripped."""
 
@@ -46,11 +45,8 @@ class DcLink(DriveEffect):
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         share, sigma = found.value[0], found.sigma[0]
         (low, high), far = found.links, max(_MISSED, CERTAIN * sigma)
-        key, told = "", {}
-        doubtful = True
-        if (
-            abs(share + 1) < far
-        ):  # the inverse of the noise of a link that is constant, by which duty cycles were multiplied
+        key, told, doubtful = "", {}, True
+        if abs(share + 1) < far:  # duty cycles were multiplied by the noise of a constant link
             key, doubtful = "dc_link_share.noise", False
         elif not -far < share < 1 + far:
             key = "dc_link_share.impossible"

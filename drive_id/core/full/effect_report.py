@@ -124,6 +124,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
     out: list[Calibration] = []
     drop = float((fit.model.shapes.coarse(np.array([fit.model.i_max])) @ fit.model.coarse_drop(estimate))[0])
     slopes, links = jacobian(fit.model.flux, estimate[fit.model.map], np.zeros((1, 2))), _links(fit)
+    parts = _parts(Windows.joined(fit.selection.search.sums.kept()), columns.divided)
     for taken in found.taken:
         if taken.name not in fit.spec.effects:
             continue
@@ -147,6 +148,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             links=links,
             ripple=columns.ripple,
             time_constant=np.inf if columns.winding is None else columns.winding.constant,
+            parts=parts,
         )
         out += CATALOGUE[taken.name].report(reported)
     return _doubted_heat(out)
@@ -180,6 +182,17 @@ def _links(fit: FullFit) -> tuple[float, float]:
     weights = np.bincount(recording, np.abs(voltage) ** 2)
     means = np.bincount(recording, products)[weights > 0] / weights[weights > 0]
     return (float(means.min()), float(means.max())) if len(means) else (np.nan, np.nan)
+
+
+def _parts(windows: Windows, divided: str) -> tuple[dict[str, float], ...]:
+    """Return the recording of each part of the data, and the time of its data where the part is behind a pause."""
+    part, out = getattr(windows, divided), []
+    for number in range(int(part.max()) + 1):
+        own = windows.part(part == number)
+        recording = int(own.recording[0]) if len(own) else number  # without windows, nothing is told of it
+        since = own.time.min(initial=np.inf) - windows.time[windows.recording == recording].min(initial=np.inf)
+        out.append({"recording": recording + 1} | ({"pause": float(since)} if 0 < since < np.inf else {}))
+    return tuple(out)
 
 
 def _sigma_of(changes: FloatArray, forms: FloatArray) -> FloatArray:

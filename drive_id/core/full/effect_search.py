@@ -95,7 +95,7 @@ class _Rules:
     allowed: tuple[str, ...]
     turn: float  # electrical angle per sample, rad; 0: no delay is tried
     one_speed: bool
-    recordings: int
+    parts: int  # of the data
     least: float  # squared residuals that matter to nobody, and what the current does between samples, (Vs)^2
 
     def without(self, name: str) -> _Rules:
@@ -144,7 +144,7 @@ class _Search:
         if delay != self.usual:
             terms = 1 if (2 * delay).is_integer() else 2
         score = float(np.log(squares + self.rules.least)) + _PRICE * terms + sum(map(_price, sorted(names)))
-        score += max(self.rules.recordings - 2, 0) * sum(CATALOGUE[name].price_of_recording for name in sorted(names))
+        score += max(self.rules.parts - 2, 0) * sum(CATALOGUE[name].price_of_part for name in sorted(names))
         return _Set(names, delay, squares, score, names | {DELAY} if terms else names)
 
     def alike(self, one: _Set, other: _Set) -> bool:
@@ -248,8 +248,8 @@ def search_effects(
     own, rows = model.effect("remainder").start, max(solution.rows, 1.0)
     least = _LEAST_VOLTAGE**2 / _PRICE * rows * first.solver.total_voltage + float(first.solver.total[own, own])
     one_speed = not several_speeds(noise.windows.speed.mean(axis=1))
-    recordings = 1 + max(int(windows.recording.max()) for windows in sums.kept())
-    rules = _Rules(sums, plain, noise, tuple(allowed), turn, one_speed, recordings, least)
+    parts = 1 + max(int(getattr(windows, first.found.columns.divided).max()) for windows in sums.kept())
+    rules = _Rules(sums, plain, noise, tuple(allowed), turn, one_speed, parts, least)
     state, chosen, search = _about_its_best(_about_lateness(_about_decimation(first, rules), rules), first, rules)
     every = rules
     for number in count(1):

@@ -9,6 +9,7 @@ import numpy as np
 
 from drive_id.core.full.delay import Delay
 from drive_id.core.full.effects.columns import EffectColumns
+from drive_id.core.full.effects.effect import divided
 from drive_id.core.full.link_ripple import ripple_frequency
 from drive_id.core.full.model import VOLTAGE, FullModel, ModelSpec
 from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver
@@ -66,6 +67,7 @@ def first_columns(
     if np.isnan(mean) and misfits(model, solution, noise):
         ripple = ripple_frequency(model, solution.estimate, [windows])[0]
     columns = EffectColumns(model, solution.estimate, float(windows.heat.max()), mean, pole_pairs, ripple)
+    columns = replace(columns, divided=divided([windows]))
     if pole_pairs is not None:
         return columns
     return replace(columns, pole_pairs=columns.likely_pole_pairs(windows.thinned(SEARCHED)))

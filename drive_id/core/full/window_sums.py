@@ -75,7 +75,7 @@ class WindowSums:
         """Begin another recording, under its own conditions, see :class:`Windows`."""
         self._finish()
         self._recording += self.windows > 0
-        self._cutter.restart(SEGMENT * self._next_start(), self._recording)
+        self._restart()
         self._cutter.set_conditions(heating, drop_scale)
 
     def add(
@@ -216,15 +216,16 @@ class WindowSums:
         self._counts = self._counts + np.roll(theirs._counts, offset)  # noqa: SLF001
         self._squares = self._squares + np.roll(theirs._squares, offset)  # noqa: SLF001
         known = self._recording + 1 if self.windows else 0
-        runs = 1 + max((int(windows.run.max()) for windows in self._kept.values()), default=-1)
+        run, section = self._lasts()
         for own, more in ((self._kept, theirs._kept), (self._short, theirs._short)):  # noqa: SLF001
             for number, windows in more.items():
-                renumbered = replace(windows, recording=windows.recording + known, run=windows.run + runs)
-                own[offset + number] = renumbered
+                recordings, runs = windows.recording + known, windows.run + run + 1
+                numbered = replace(windows, recording=recordings, run=runs, section=windows.section + section + 1)
+                own[offset + number] = numbered
         self._recording = known + theirs._recording  # noqa: SLF001
         if theirs.windows:
             self._last = offset + theirs._last  # noqa: SLF001
-        self._cutter.restart(SEGMENT * self._next_start(), self._recording)
+        self._restart()
         self.windows += theirs.windows
         self.outside += theirs.outside
         self._link = self._link + theirs._link  # noqa: SLF001
@@ -267,7 +268,7 @@ class WindowSums:
             self._squares = exactly(state["squares"], self._squares)
             self._counts, self._last = np.array(state["counts"]), int(state["last"])
             self.windows = int(self._counts.sum())
-        self._cutter.restart(SEGMENT * self._next_start(), self._recording)
+        self._restart()
 
     @property
     def folds(self) -> FloatArray:
@@ -395,6 +396,17 @@ class WindowSums:
 
         with one_blas_thread():
             in_threads(add, sorted(by_fold), threads)
+
+    def _restart(self) -> None:
+        self._cutter.restart(SEGMENT * self._next_start(), self._recording, self._lasts())
+
+    def _lasts(self) -> tuple[int, int]:
+        """Return the numbers of the last run and of the last section; -1 before there is one."""
+        run, section = (
+            max((int(getattr(windows, name).max()) for windows in self._kept.values()), default=-1)
+            for name in ("run", "section")
+        )
+        return run, section
 
     def _reduce(self) -> None:
         """Sum over the columns of reciprocal maps from now on."""

@@ -62,6 +62,8 @@ _FEWEST = 4096
 """Samples collected before windows are cut, so that overlaps cost little."""
 _ADJACENT = 4096
 """Most adjacent windows that are cut at once, so that memory does not grow with the recording."""
+_PAUSE = 1.0
+"""Gap in the stamps, s, after which winding and magnets may have another temperature: 10 A/mm2 heat by 0.5 K/s."""
 _FINEST = 1e-4
 """Spacing of the possible ends of windows if the sample period is shorter, s."""
 _SOME = 4
@@ -113,8 +115,9 @@ class Windows:
     heat: FloatArray  # (N,), int |i_s|^2 dt from the start of the recording to the start of the window, A^2 s
     link: ComplexArray  # (N,), int u_s u_dc, V^2 s, NaN where the DC-link voltage is not known
     loaded: ComplexArray  # (N,), int u_s p with the power p = 3/2 Re(u_s conj(i_s)) that the machine takes, V^2 A s
-    run: IntArray  # (N,), number of the gap-free run, and below of the recording
+    run: IntArray  # (N,), number of the gap-free run, below of the recording, and of a part of one between pauses
     recording: IntArray
+    section: IntArray
     # (N,), smallest absolute value of a phase current within the window, 0 where one crosses zero, A
     clearance: FloatArray
     short: BoolArray  # (N,), whether the rotor turns by SHORT_ANGLE instead of WINDOW_ANGLE
@@ -219,7 +222,8 @@ class WindowCutter:
         self._heating, self._drop_scale = 0.0, 1.0
         self._turned = self._heat = 0.0  # up to the last sample, rad and A^2 s
         self._lagged = np.zeros(len(LAGS), np.complex128)  # at the last sample, A
-        self._run, self._recording = -1, 0
+        self._run, self._recording, self._section = -1, 0, -1
+        self._paused = -np.inf  # since when, ns; infinite before a recording
         self._rest: _Stretch | None = None  # samples that later windows need
         self._period = 0.0
         self._origin = 0  # index of the rest's first sample within its run
@@ -234,9 +238,13 @@ class WindowCutter:
         """Set temperature rise, K, and relative DC-link voltage of the samples to come, see :class:`Windows`."""
         self._heating, self._drop_scale = heating, drop_scale
 
-    def restart(self, time: float, recording: int) -> None:
-        """Continue at another time, s, with another recording, after :meth:`finish`."""
-        self._time, self._recording, self._heat = time, recording, 0.0
+    def restart(self, time: float, recording: int, last: tuple[int, int] | None = None) -> None:
+        """Continue at another time, s, with another recording, after :meth:`finish`, and after a last run and section.
+
+        Default of these: those that were cut last.
+        """
+        self._time, self._recording, self._heat, self._paused = time, recording, 0.0, -np.inf
+        self._run, self._section = last or (self._run, self._section)
 
     def cut(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> Iterator[Windows]:
         """Yield the windows of further samples; the last ones follow with :meth:`finish`.
@@ -258,7 +266,8 @@ class WindowCutter:
                 yield from self.finish()
                 self._rest, self._period = self._stretch(samples, idle, run, continues=False), samples.sample_period
                 self._origin = self._number = 0
-                self._run += 1
+                self._begin(samples.stamp[run.start])
+            self._paused = float(samples.stamp[run.stop - 1])
             while len(self._rest) >= 2 * fewest:
                 yield from self._cut(self._rest.part(slice(2 * fewest)))
             if len(self._rest) >= fewest:
@@ -272,7 +281,8 @@ class WindowCutter:
         self._period = samples.sample_period
         grain = spacing(self._period)
         for run in samples.runs():
-            self._run += 1
+            self._begin(samples.stamp[run.start])
+            self._paused = float(samples.stamp[run.stop - 1])
             stretch = self._stretch(samples, np.zeros(len(samples), np.bool_), run, continues=False)
             every = np.arange(-_PAST[0], len(stretch) - length - _REACH, length)
             for begin in np.split(every, range(_ADJACENT, len(every), _ADJACENT)) if len(every) else ():
@@ -282,6 +292,10 @@ class WindowCutter:
                 sums, short = _Sums.over(part, self._period, self._shapes.coarse), np.zeros(len(begin), np.bool_)
                 windows = self._windows(part, sums, begin - first, begin - first + length, short)
                 yield run.start + int(begin[0]), windows
+
+    def _begin(self, stamp: float) -> None:
+        self._run += 1
+        self._section += stamp - self._paused > _PAUSE * 1e9
 
     def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
         """Return the new samples of a run with the quantities integrated over them."""
@@ -420,6 +434,7 @@ class WindowCutter:
             loaded=sums.loaded[end] - sums.loaded[begin],
             run=np.full(len(begin), self._run),
             recording=np.full(len(begin), self._recording),
+            section=np.full(len(begin), self._section),
             clearance=sums.clearance(begin, end),
             short=short,
         )

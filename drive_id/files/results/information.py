@@ -34,7 +34,7 @@ from drive_id.types import SCALARS, Samples
 from drive_id.version import VERSION
 
 FORMAT = "drive_id/information"
-FORMAT_VERSION = 10
+FORMAT_VERSION = 11
 _SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed", "run_starts")
 _OPTIONAL = ("i_dq_reference", *SCALARS)
 _DIGEST = "sha256"

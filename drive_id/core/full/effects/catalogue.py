@@ -6,6 +6,7 @@ from drive_id.core.full.effects.effect import DriveEffect
 from drive_id.core.full.effects.heat import CopperHeating, CopperRecordings, MagnetHeating, MagnetRecordings
 from drive_id.core.full.effects.iron import Coercivity, EddyCurrents, Hysteresis
 from drive_id.core.full.effects.link import DcLink, LinkRipple, LinkSag
+from drive_id.core.full.effects.parts import AngleOfParts, UnlikeParts
 from drive_id.core.full.effects.phases import DropAsymmetry, PhaseResistance, VoltageGains
 from drive_id.core.full.effects.resolver import Eccentricity, EccentricRotor, ResolverOrder
 from drive_id.core.full.effects.sensors import CurrentGains, CurrentOffset, CurrentRotation
@@ -27,6 +28,8 @@ CATALOGUE: dict[str, DriveEffect] = {
         MagnetHeating("magnet_heating"),
         CopperRecordings("copper_recordings"),
         MagnetRecordings("magnet_recordings"),
+        AngleOfParts("angle_of_parts"),
+        UnlikeParts("unlike_parts"),
         Eccentricity("eccentricity"),
         EccentricRotor("eccentric_rotor"),
         ResolverOrder("resolver_first", 1),

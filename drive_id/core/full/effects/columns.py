@@ -41,6 +41,7 @@ class EffectColumns:
     ripple: float = 0.0  # frequency of a ripple of the DC link, Hz; 0 without
     winding: WindingHeat | None = None  # course of its temperature; None: it gives off no heat
     delay: float = 0.0  # of the voltages, samples
+    divided: str = "section"  # what tells the parts of the data apart, see ``effect.divided``
 
     def __call__(self, windows: Windows) -> ComplexArray:
         """Return the columns (N, EFFECT_COLUMNS) of N windows."""
@@ -80,7 +81,7 @@ class EffectColumns:
         follows e^{-t/tau}, and that of the filtered current steps when it crosses zero.
         """
         current = self.model.i_max * np.linspace(-_WIDEST, _WIDEST, _DROP_POINTS)
-        drop = (self.model.shapes(current) @ self.estimate[self.model.phase_columns()]).T
+        drop = (self.model.shapes(current) @ self._drops).T
         windows, rise = at.windows, at.filter * (1j * at.windows.speed * at.currents + at.windows.slope)
         later, out = (np.arange(_FILTER_STEPS) + 0.5) / _FILTER_STEPS, np.zeros(rise.shape, np.complex128)
         for axis, table in zip(np.exp(1j * frames.PHASE_SHIFTS), drop, strict=True):
@@ -104,7 +105,8 @@ class EffectColumns:
         turn: ComplexArray = np.exp(1j * windows.angle)
         i_s = windows.measured * turn
         induced = (windows.held - float(self.estimate[RESISTANCE]) * i_s - self._drop(i_s, windows)) / turn
-        return Ends(windows, windows.measured, turn, induced, self.pole_pairs)
+        part = getattr(windows, self.divided)
+        return Ends(windows, windows.measured, turn, induced, self.pole_pairs, part)
 
     def _at(self, windows: Windows) -> Linearized:
         ends, i_dq, through = self._ends(windows), _as_complex(windows.i_dq), self._jacobian(windows)
@@ -121,6 +123,7 @@ class EffectColumns:
             dropped=float(self.estimate[RESISTANCE]) * read
             + windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, drop),
             rectified=windows.drop_scale[:, None] * np.einsum("nlp,l->np", windows.rectified[:, :-1], drop),
+            drop=windows.drop_scale * frames.space_vector(np.einsum("nsp,sp->np", windows.shape, self._drops)),
             heat=heat,
             warmth=heat if self.winding is None else self.winding(windows),
             link=self.link,
@@ -140,6 +143,11 @@ class EffectColumns:
             rows = np.concatenate([z.real, z.imag])
             shares[pairs] = float(np.sum((rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]) ** 2))
         return max(shares, key=lambda pairs: shares[pairs])
+
+    @property
+    def _drops(self) -> FloatArray:
+        """Return the coefficients (S, 3) of the shapes of each phase's drop, V."""
+        return self.estimate[self.model.phase_columns()]
 
     def _value(self, name: str) -> FloatArray:
         return self.estimate[self.model.effect(name)]
@@ -252,7 +260,7 @@ class EffectColumns:
         """Return the inverter's drop at the ends (N, 2) in the stator frame, V."""
         model = self.model
         shapes = model.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
-        drops = np.einsum("nps,sp->np", shapes, self.estimate[model.phase_columns()])
+        drops = np.einsum("nps,sp->np", shapes, self._drops)
         return np.asarray(frames.space_vector(drops).reshape(i_s.shape) * windows.drop_scale[:, None])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -13,10 +13,10 @@ import numpy as np
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.windows import Windows
 from drive_id.messages import Message
-from drive_id.types import FloatArray
+from drive_id.types import FloatArray, IntArray
 
-MOST_RUNS, MOST_RECORDINGS = 4, 8
-"""Most runs with separate mechanical angles, and most recordings with separate temperatures."""
+MOST_RUNS, MOST_PARTS = 4, 8
+"""Most runs with separate mechanical angles, and most parts of the data with separate temperatures."""
 CERTAIN = 3.0
 """Standard errors from which on a sign, or a share that is not possible, is certain."""
 VOLTAGE_MISMATCH = "voltage_gain_mismatch"
@@ -40,6 +40,14 @@ def between(x: ComplexArray) -> ComplexArray:
     return np.asarray(x[:, 1] - x[:, 0])
 
 
+def divided(kept: Iterable[Windows]) -> str:
+    """Return what tells the parts of the data apart, between which a drive may change.
+
+    The sections between pauses, or the recordings where those are too many.
+    """
+    return "section" if max(int(windows.section.max()) for windows in kept) < MOST_PARTS else "recording"
+
+
 @dataclass(frozen=True, eq=False)
 class Ends:
     """N windows, and what moves the currents at their ends."""
@@ -49,11 +57,16 @@ class Ends:
     turn: ComplexArray  # (N, 2), e^{j theta}
     induced: ComplexArray  # (N, 2), voltage e in the rotor frame, V
     pole_pairs: int | None
+    part: IntArray  # (N,), number of the part of the data, see :func:`divided`
 
     def in_runs(self, waves: Sequence[FloatArray | ComplexArray]) -> list[Any]:
         """Return waves (N,) or (N, 2) in each run, as columns of their own."""
         runs = [self.windows.run == k for k in range(MOST_RUNS)]
         return [wave * (run[:, None] if wave.ndim > 1 else run) for run in runs for wave in waves]
+
+    def of_parts(self) -> list[FloatArray]:
+        """Tell for each part of the data but the first which windows are of it."""
+        return [self.part == k + 1 for k in range(MOST_PARTS - 1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +79,7 @@ class Linearized(Ends):
     mean_flux: Callable[[ComplexArray], ComplexArray]  # f(i), averaged over the rotor position
     dropped: FloatArray  # (K, N), voltage in which each error of the current sensors is read, Vs
     rectified: FloatArray  # (N, 3), integral of the magnitude of the drop of each phase, Vs
+    drop: ComplexArray  # (N,), integral of the drop, Vs
     heat: FloatArray  # (N,), relative to the largest within a recording
     warmth: FloatArray  # (N,), rise of the winding's temperature, likewise
     link: float  # mean DC-link voltage, V; NaN where it is not known
@@ -78,17 +92,13 @@ class Linearized(Ends):
         """Flux (N, 2) that does not lag, Wb."""
         return self.mean_flux(self.windows.lagging[..., -1])
 
-    def of_recordings(self) -> list[FloatArray]:
-        """Tell for each recording but the first which windows are of it."""
-        return [self.windows.recording == k + 1 for k in range(MOST_RECORDINGS - 1)]
-
 
 @dataclass(frozen=True)
 class Recorded:
     """What is known of recordings, which decides on the effects that they can show."""
 
     runs: int
-    recordings: int
+    parts: int  # of the data, see :func:`divided`
     link: bool  # whether the DC link was recorded
     temperatures: bool  # whether temperatures are given
     pole_pairs: bool  # whether their number is
@@ -116,6 +126,7 @@ class Reported:
     links: tuple[float, float]  # lowest and highest mean of a recording, V, likewise
     ripple: float  # Hz
     time_constant: float  # of the winding's heat, s; infinite where it stays
+    parts: tuple[dict[str, float], ...]  # recording, and time of its data where a pause ends within, s, of each part
 
     def entry(
         self, name: str, value: float, sigma: float, unit: str, key: str = "", *, scale: float = 1.0, **more: Any
@@ -159,7 +170,7 @@ class DriveEffect(ABC):
     at_rest: ClassVar[bool] = False
     """Whether it shows while the rotor stands still."""
     of_recordings: ClassVar[bool] = False
-    """Whether it depends on the number of a recording or a run, or on the time since the start."""
+    """Whether it depends on the number of a part of the data or a run, or on the time since the start."""
     of_sensors: ClassVar[bool] = False
     """Whether it is of the current sensors, not of the drive."""
     of_speeds: ClassVar[bool] = False
@@ -172,8 +183,8 @@ class DriveEffect(ABC):
     """Physical cause that it shares with others, which are no rivals."""
     price: ClassVar[float] = 0.0
     """Share of the squared residuals that it must save beyond what each effect must: others would be it."""
-    price_of_recording: ClassVar[float] = 0.0
-    """The same for each recording beyond the second: it has an unknown of its own, where another effect has one."""
+    price_of_part: ClassVar[float] = 0.0
+    """The same for each part of the data beyond the second, which has unknowns of its own."""
     harmonic: ClassVar[int] = 0
     """Order of the flux that it causes, and that is none of the machine beside it."""
 

@@ -1,4 +1,4 @@
-"""Heat of winding and magnets, within a recording and from one to the next."""
+"""Heat of winding and magnets, within a recording, and from one part of the data to the next."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import (
-    MOST_RECORDINGS,
+    MOST_PARTS,
     Calibration,
     DriveEffect,
     Linearized,
@@ -21,8 +21,8 @@ from drive_id.temperature import COPPER
 from drive_id.types import FloatArray
 
 _MOST_COOLED, _MOST_WARMED = -50.0, 130.0
-"""Change of a winding's temperature from the first recording to another one, K, beyond which another cause is likelier:
-class F allows 105 K above the ambience (IEC 60034-1), and benches record cold machines first. A map that lacks 2 % of
+"""Change of a winding's temperature since the first part of the data, K, beyond which another cause is likelier: class
+F allows 105 K above the ambience (IEC 60034-1), and benches record cold machines first. A map that lacks 2 % of
 reciprocity looked like -69 K."""
 
 
@@ -44,17 +44,17 @@ class CopperHeating(DriveEffect):
 
 @dataclass(frozen=True)
 class CopperRecordings(DriveEffect):
-    """R of each recording minus that of the first: ``int i_s``."""
+    """R of each part of the data minus that of the first: ``int i_s``."""
 
-    width = MOST_RECORDINGS - 1
+    width = MOST_PARTS - 1
     at_rest, of_recordings, cause = True, True, "resistance"
-    price_of_recording = 2e-3  # what a resistance that rises with the speed explains is that
+    price_of_part = 2e-3  # what a resistance that rises with the speed explains is that
 
     def possible(self, known: Recorded) -> bool:  # noqa: D102
-        return 1 < known.recordings <= MOST_RECORDINGS and not known.temperatures
+        return 1 < known.parts <= MOST_PARTS and not known.temperatures
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return [at.windows.current * own for own in at.of_recordings()]
+        return [at.windows.current * own for own in at.of_parts()]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for k, (x, dx) in enumerate(zip(found.value, found.sigma, strict=True)):
@@ -62,7 +62,7 @@ class CopperRecordings(DriveEffect):
                 name, told = f"resistance_change_{k + 2}", _relative(found, x)
                 usual = _MOST_COOLED < told["kelvin"] < _MOST_WARMED
                 key = "resistance_change" if usual else "resistance_change.odd"
-                entry = found.entry(name, x, dx, "ohm", key, recording=k + 2, **told)
+                entry = found.entry(name, x, dx, "ohm", key, **found.parts[k + 1], **told)
                 yield entry if usual else replace(entry, doubtful=True)
 
 
@@ -93,23 +93,23 @@ class MagnetHeating(DriveEffect):
 
 @dataclass(frozen=True)
 class MagnetRecordings(MagnetHeating):
-    """The same of each recording minus that of the first."""
+    """The same of each part of the data minus that of the first."""
 
-    width = 2 * (MOST_RECORDINGS - 1)
+    width = 2 * (MOST_PARTS - 1)
 
     def possible(self, known: Recorded) -> bool:  # noqa: D102
-        return 1 < known.recordings <= MOST_RECORDINGS and not known.temperatures
+        return 1 < known.parts <= MOST_PARTS and not known.temperatures
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return [column * own for own in at.of_recordings() for column in _of_magnet(at)]
+        return [column * own for own in at.of_parts() for column in _of_magnet(at)]
 
     def magnetizing(self, at: Linearized, value: FloatArray) -> FloatArray:  # noqa: D102
-        return np.asarray(value[1::2] @ np.array(at.of_recordings(), np.float64))[:, None]
+        return np.asarray(value[1::2] @ np.array(at.of_parts(), np.float64))[:, None]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for k, x, dx in _magnet_changes(found):
             name, key = f"magnet_flux_change_{k + 2}", "magnet_flux_change.recording"
-            yield found.entry(name, x, dx, "Wb", key, recording=k + 2, flux=found.inductance * found.i_max)
+            yield found.entry(name, x, dx, "Wb", key, **found.parts[k + 1], flux=found.inductance * found.i_max)
 
 
 def _of_magnet(at: Linearized) -> list[ComplexArray]:

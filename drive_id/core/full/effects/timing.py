@@ -44,7 +44,7 @@ def _filtered(windows: Windows, time: float, delay: float) -> ComplexArray:
 class Latency(DriveEffect):
     """The angle is late: ``[omega e^{j theta} (j f - f'(i) j i)]`` times the time."""
 
-    turns, late, rotates = True, True, True
+    turns, late, rotates, cause = True, True, True, "angle"
 
     def plausible(self, value: float, turn: float, period: float) -> bool:  # noqa: D102
         return abs(value) < min(MOST_DELAY, _MOST_TURNED / turn) * period
@@ -65,6 +65,8 @@ class CurrentLatency(Latency):
 
     A filter with H = 1 / (1 + j omega tau) gives the currents H i and the flux H f(i), and u_f is the voltage after it.
     """
+
+    cause = ""
 
     def plausible(self, value: float, turn: float, period: float) -> bool:  # noqa: D102
         return value > -_EARLIEST * period and super().plausible(value, turn, period)

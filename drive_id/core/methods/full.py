@@ -408,7 +408,7 @@ def _statements(
         yield Message("zero_crossings", ratio=fit.crossings)
     if 0 < fit.shared_resistance < _large_share(fit):
         yield Message("wide_curve", shared=fit.shared_resistance)
-    yield from dict.fromkeys(c.message for c in calibrations)
+    yield from dict.fromkeys(c.message for c in calibrations if not (c.doubtful or c.message.kind == "warning"))
     orders = ", ".join(map(str, fit.spec.orders))
     if not locked:
         yield Message("harmonics", orders=orders) if orders else Message("harmonics.none")

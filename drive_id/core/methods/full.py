@@ -301,11 +301,12 @@ def _effect_voltages(evidence: Evidence, fit: FullFit) -> EffectVoltages | None:
     columns = replace(search.found.columns, estimate=fit.solution.estimate)
     recordings = 1 + max(int(windows.recording.max()) for windows in search.sums.kept())
     of_recordings = [name for name in fit.spec.effects if CATALOGUE[name].of_recordings]
+    simulated = not any(CATALOGUE[name].of_recorded_runs for name in fit.spec.effects)
 
     def voltages(pieces: Sequence[Samples]) -> tuple[list[FloatArray], bool]:
         whole = len(pieces) == recordings and sum(len(piece) for piece in pieces) >= evidence.samples
         if whole or not of_recordings:
-            return columns.voltages(pieces, _AVERAGED), True
+            return columns.voltages(pieces, _AVERAGED), simulated
         estimate = columns.estimate.copy()
         for name in of_recordings:
             estimate[fit.model.effect(name)] = 0.0

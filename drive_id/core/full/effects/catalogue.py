@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from drive_id.core.full.effects.effect import DriveEffect
-from drive_id.core.full.effects.heat import CopperHeating, CopperRecordings, MagnetHeating, MagnetRecordings
+from drive_id.core.full.effects.heat import (
+    CopperHeating,
+    CopperRecordings,
+    LateMagnetHeating,
+    MagnetHeating,
+    MagnetRecordings,
+)
 from drive_id.core.full.effects.iron import Coercivity, EddyCurrents, Hysteresis
-from drive_id.core.full.effects.link import DcLink, LinkRipple, LinkSag
-from drive_id.core.full.effects.parts import AngleOfParts, UnlikeParts
-from drive_id.core.full.effects.phases import DropAsymmetry, PhaseResistance, VoltageGains
+from drive_id.core.full.effects.link import DcLink, DropByLink, LinkRipple, LinkSag
+from drive_id.core.full.effects.parts import AngleOfParts, DropOfParts, UnlikeParts
+from drive_id.core.full.effects.phases import DropAsymmetry, PhaseInductance, PhaseResistance, VoltageGains
 from drive_id.core.full.effects.resolver import Eccentricity, EccentricRotor, ResolverOrder
 from drive_id.core.full.effects.sensors import CurrentGains, CurrentOffset, CurrentRotation
 from drive_id.core.full.effects.skin import SkinEffect
-from drive_id.core.full.effects.timing import CurrentLatency, FluxLag, Latency, LongFluxLag
+from drive_id.core.full.effects.timing import CurrentLatency, FluxLag, LateCompensation, Latency, LongFluxLag
 from drive_id.core.full.windows import LAGS
 
 CATALOGUE: dict[str, DriveEffect] = {
@@ -22,22 +28,27 @@ CATALOGUE: dict[str, DriveEffect] = {
         Coercivity("coercivity", "iron_loss_current", "A"),
         CurrentLatency("current_latency"),
         Latency("angle_latency"),
+        LateCompensation("late_compensation"),
         FluxLag("flux_lag"),
         *(LongFluxLag(f"flux_lag_{1e3 * lag:g}ms", lag) for lag in LAGS),
         CopperHeating("copper_heating"),
         MagnetHeating("magnet_heating"),
+        LateMagnetHeating("late_magnet_heating"),
         CopperRecordings("copper_recordings"),
         MagnetRecordings("magnet_recordings"),
         AngleOfParts("angle_of_parts"),
+        DropOfParts("drop_of_parts"),
         UnlikeParts("unlike_parts"),
         Eccentricity("eccentricity"),
         EccentricRotor("eccentric_rotor"),
         ResolverOrder("resolver_first", 1),
         ResolverOrder("resolver_second", 2),
         DcLink("dc_link"),
+        DropByLink("drop_by_link"),
         LinkRipple("link_ripple"),
         LinkSag("link_sag"),
         PhaseResistance("phase_resistance"),
+        PhaseInductance("phase_inductance"),
         SkinEffect("skin_effect"),
         DropAsymmetry("drop_asymmetry"),
         VoltageGains("voltage_gains"),

@@ -80,6 +80,7 @@ class Linearized(Ends):
     dropped: FloatArray  # (K, N), voltage in which each error of the current sensors is read, Vs
     rectified: FloatArray  # (N, 3), integral of the magnitude of the drop of each phase, Vs
     drop: ComplexArray  # (N,), integral of the drop, Vs
+    shapes: Callable[[FloatArray], FloatArray]  # coarse shapes (..., S) of the drop at phase currents (...), A
     heat: FloatArray  # (N,), relative to the largest within a recording
     warmth: FloatArray  # (N,), rise of the winding's temperature, likewise
     link: float  # mean DC-link voltage, V; NaN where it is not known
@@ -121,6 +122,7 @@ class Reported:
     inductance: float  # d psi_d / d i_d at zero current, H
     i_max: float
     drop: float  # of the inverter, mean of the phases at i_max, V
+    shapes: FloatArray  # (S,), coarse shapes of the drop at i_max
     pole_pairs: int | None
     link: float  # mean DC-link voltage, V; NaN where it is not known
     links: tuple[float, float]  # lowest and highest mean of a recording, V, likewise

@@ -9,6 +9,7 @@ import numpy as np
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import (
+    CERTAIN,
     MOST_PARTS,
     Calibration,
     DriveEffect,
@@ -36,10 +37,14 @@ class CopperHeating(DriveEffect):
         return [at.windows.current * at.warmth]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        key, told = "", _relative(found, found.value[0])
-        if np.isfinite(found.time_constant):
+        (x,), (dx,) = found.value, found.sigma
+        key, told, falls = "", _relative(found, x), x < -CERTAIN * dx
+        if falls:
+            key = "resistance_rise.falls"
+        elif np.isfinite(found.time_constant):
             key, told = "resistance_rise.settling", {**told, "constant": found.time_constant}
-        yield found.entry("resistance_rise", found.value[0], found.sigma[0], "ohm", key, **told)
+        entry = found.entry("resistance_rise", x, dx, "ohm", key, **told)
+        yield replace(entry, doubtful=True) if falls else entry
 
 
 @dataclass(frozen=True)
@@ -78,13 +83,17 @@ class MagnetHeating(DriveEffect):
     Columns ``h [e^{j theta}]`` and ``h [e^{j theta} f'(i)]``.
     """
 
-    width, of_recordings = 2, True
+    width, of_recordings, cause = 2, True, "magnet"
+
+    def course(self, at: Linearized) -> FloatArray:
+        """Return the relative change (N,) over the recording."""
+        return at.heat
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return [column * at.heat for column in _of_magnet(at)]
+        return [column * self.course(at) for column in _of_magnet(at)]
 
     def magnetizing(self, at: Linearized, value: FloatArray) -> FloatArray:  # noqa: D102
-        return np.asarray(value[1] * at.heat[:, None])
+        return np.asarray(value[1] * self.course(at)[:, None])
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for _, x, dx in _magnet_changes(found):
@@ -92,8 +101,20 @@ class MagnetHeating(DriveEffect):
 
 
 @dataclass(frozen=True)
+class LateMagnetHeating(MagnetHeating):
+    """The same with the square of the heat, as of magnets that the copper warms."""
+
+    def course(self, at: Linearized) -> FloatArray:  # noqa: D102
+        return at.heat**2
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        for entry in super().report(found):
+            yield replace(entry, name="magnet_flux_change_late")
+
+
+@dataclass(frozen=True)
 class MagnetRecordings(MagnetHeating):
-    """The same of each part of the data minus that of the first."""
+    """Change of psi_d and of that current in each part of the data minus that of the first."""
 
     width = 2 * (MOST_PARTS - 1)
 

@@ -18,7 +18,7 @@ from drive_id.core.full.effects.effect import (
     Reported,
 )
 from drive_id.core.full.windows import Windows
-from drive_id.types import FloatArray
+from drive_id.types import TINY, FloatArray
 
 _SMALL = 1e-4
 """Angle, rad, that stands for smaller ones, by which nothing may be divided: both moments are then exact to 1e-4."""
@@ -26,6 +26,8 @@ _MISSED = 0.05
 """Share of the variation that noise of the log may hide or feign: of variations of 1 %, 0.05 % of the voltage."""
 _LEVELS = 0.005
 """Relative difference of the link's means from which on their reference matters: five times what maps are off by."""
+_MOST_SHARE = 0.5
+"""Beyond none or all of the drop that may seem to follow the link: the curve is that at its mean."""
 _MOST = 0.2
 """Amplitude of a ripple, relative to the link, beyond which a drive would have tripped."""
 
@@ -57,6 +59,27 @@ class DcLink(DriveEffect):
             told |= {"rise": found.link / low - 1, "fall": found.link / high - 1}
         entry = found.entry("dc_link_share", share, sigma, "1", key, mean=found.link, **told)
         yield replace(entry, doubtful=bool(key) and doubtful)
+
+
+@dataclass(frozen=True)
+class DropByLink(DriveEffect):
+    """Share of the inverter's drop that follows the recorded link, as that of a dead time: its integral by the link."""
+
+    at_rest = True
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return known.link
+
+    def plausible(self, value: float, _turn: float, _period: float) -> bool:  # noqa: D102
+        return -_MOST_SHARE < value < 1 + _MOST_SHARE
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        square = np.maximum(np.abs(at.windows.voltage) ** 2, TINY)
+        varied = (at.windows.link * at.windows.voltage.conj()).real / square / at.link - 1.0
+        return [at.drop * np.clip(np.nan_to_num(varied), -_MOST, _MOST)] if np.isfinite(at.link) else []
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield found.entry("inverter_drop_by_link", found.value[0], found.sigma[0], "1", mean=found.link)
 
 
 @dataclass(frozen=True)

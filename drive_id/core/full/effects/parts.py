@@ -44,29 +44,49 @@ class AngleOfParts(DriveEffect):
 
 
 @dataclass(frozen=True)
-class UnlikeParts(DriveEffect):
-    """psi_d, psi_q and the inverter's drop of each part, relative to those of the first: another drive.
+class DropOfParts(AngleOfParts):
+    """Inverter's drop of each part, relative to that of the first: another DC link, or other devices."""
 
-    Columns ``[e^{j theta} f_d]``, ``[e^{j theta} j f_q]`` and the integral of the drop.
+    at_rest, cause = True, ""
+    price = 0.0
+
+    def waves(self, _: Ends) -> list[FloatArray]:  # noqa: D102
+        return []
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [at.drop * own for own in at.of_parts()]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        for k, (x, dx) in enumerate(zip(found.value, found.sigma, strict=True)):
+            if found.met(k):
+                name = f"inverter_drop_change_{k + 2}"
+                yield found.entry(name, x, dx, "1", "inverter_drop_change", **found.parts[k + 1])
+
+
+@dataclass(frozen=True)
+class UnlikeParts(AngleOfParts):
+    """psi_d and psi_q of each part, relative to those of the first: another machine.
+
+    Columns ``[e^{j theta} f_d]`` and ``[e^{j theta} j f_q]``.
     """
 
-    width = 3 * (MOST_PARTS - 1)
-    of_recordings = True
-    price, price_of_part = 0.04, 6e-3
+    width = 2 * (MOST_PARTS - 1)
+    cause = ""
+    price, price_of_part = 0.03, 4e-3
 
-    def possible(self, known: Recorded) -> bool:  # noqa: D102
-        return 1 < known.parts <= MOST_PARTS
+    def waves(self, _: Ends) -> list[FloatArray]:  # noqa: D102
+        return []
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         flux = [between(at.turn * psi) for psi in (at.psi.real, 1j * at.psi.imag)]
-        return [column * own for own in at.of_parts() for column in (*flux, at.drop)]
+        return [column * own for own in at.of_parts() for column in flux]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for k, part in enumerate(found.parts[1:]):
-            if not found.met(3 * k):
+            if not found.met(2 * k):
                 continue
-            (d, q, drop), errors = found.value[3 * k : 3 * k + 3], found.sigma[3 * k : 3 * k + 3]
-            told = part | dict(zip(("sigma_d", "sigma_q", "sigma_drop"), errors, strict=True))
-            for name, x, dx in zip(("psi_d", "psi_q", "inverter_drop"), (d, q, drop), errors, strict=True):
-                entry = found.entry(f"{name}_change_{k + 2}", x, dx, "1", "unlike_parts", **told, d=d, q=q, drop=drop)
+            (d, q), errors = found.value[2 * k : 2 * k + 2], found.sigma[2 * k : 2 * k + 2]
+            told = part | {"d": d, "q": q, "sigma_d": errors[0], "sigma_q": errors[1]}
+            for name, x, dx in zip(("psi_d", "psi_q"), (d, q), errors, strict=True):
+                entry = found.entry(f"{name}_change_{k + 2}", x, dx, "1", "unlike_parts", **told)
                 yield replace(entry, doubtful=True)

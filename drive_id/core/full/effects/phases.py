@@ -1,4 +1,4 @@
-"""Phases that differ: their resistances, the devices of their half-bridges, and the gains of their voltages."""
+"""Phases that differ: resistances and inductances, devices of the half-bridges, and gains of the voltages."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.effects.effect import VOLTAGE_MISMATCH, Calibration, DriveEffect, Linearized, Reported
+from drive_id.core.full.effects.effect import (
+    VOLTAGE_MISMATCH,
+    Calibration,
+    DriveEffect,
+    Linearized,
+    Reported,
+    between,
+)
 
 
 @dataclass(frozen=True)
@@ -19,14 +26,38 @@ class PhaseResistance(DriveEffect):
     width = 2
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        i_a, i_b, i_c = 2 / 3 * (frames.phases(at.windows.current) * np.exp(1j * frames.PHASE_SHIFTS)).T
-        return [i_a - i_c, i_b - i_c]
+        return _above_mean(at.windows.current)
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        values, sigmas = (*found.value, -found.value.sum()), (*found.sigma, np.hypot(*found.sigma))
-        for phase, (x, dx) in enumerate(zip(values, sigmas, strict=True)):
+        for phase, x, dx in _of_phases(found):
             name, more = f"resistance_{'abc'[phase]}", {"phase": phase, "resistance": found.resistance}
             yield found.entry(name, x, dx, "ohm", "resistance_of_phase", **more)
+
+
+@dataclass(frozen=True)
+class PhaseInductance(PhaseResistance):
+    """Inductance of the phases a and b above the mean, c below it: of ``[i_a]``, ``[i_b]`` and ``[i_c]`` at the ends.
+
+    As turns that are short-circuited, or an eccentric stator, cause.
+    """
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return _above_mean(between(at.currents * at.turn))
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        for phase, x, dx in _of_phases(found):
+            yield found.entry(f"inductance_{'abc'[phase]}", x, dx, "H", "inductance_of_phase", phase=phase)
+
+
+def _above_mean(i_s: ComplexArray) -> list[ComplexArray]:
+    i_a, i_b, i_c = 2 / 3 * (frames.phases(i_s) * np.exp(1j * frames.PHASE_SHIFTS)).T
+    return [i_a - i_c, i_b - i_c]
+
+
+def _of_phases(found: Reported) -> Iterator[tuple[int, float, float]]:
+    values, sigmas = (*found.value, -found.value.sum()), (*found.sigma, np.hypot(*found.sigma))
+    for phase, (x, dx) in enumerate(zip(values, sigmas, strict=True)):
+        yield phase, float(x), float(dx)
 
 
 @dataclass(frozen=True)

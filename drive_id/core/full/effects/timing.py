@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported, between
 from drive_id.core.full.windows import EARLIEST, LAGS, MOST_DELAY, SHIFTS, Windows
@@ -14,6 +15,8 @@ from drive_id.types import TINY, FloatArray
 
 _EARLIEST = 0.8
 """By which currents may be early, sample periods: the column holds below 1."""
+_LATENESS = 1.5
+"""Of the currents by which firmware compensates, sample periods: it takes those of the sample before, and holds."""
 _MOST_TURNED = 0.25
 """Angle, rad, by which a late angle or current may turn the flux."""
 _LARGEST_LAG = 0.2
@@ -76,6 +79,29 @@ class CurrentLatency(Latency):
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return [_filtered(at.windows, at.filter, at.delay) - between(at.windows.speed * at.tilt)]
+
+
+@dataclass(frozen=True)
+class LateCompensation(DriveEffect):
+    """The drive compensates the drop by phase currents that are late, in coarse shapes h: ``[h(i)_s]`` at the ends.
+
+    Over the lateness t, ``int h(i)_s`` less that of the earlier currents is t times the difference between the
+    ends, of currents half of it before.
+    """
+
+    width = 4
+    at_rest = True
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        windows, ago = at.windows, _LATENESS / 2 * at.windows.period[:, None]
+        i_s = at.turn * (at.currents - ago * (windows.slope + 1j * windows.speed * at.currents))
+        shapes = at.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
+        drops = [frames.space_vector(shapes[..., k]).reshape(i_s.shape) for k in range(self.width)]
+        return [windows.drop_scale * between(drop) for drop in drops]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        form = found.shapes[:, None]
+        yield found.entry("late_compensation", (found.value @ form)[0], found.sigma_of(form)[0], "Wb")
 
 
 @dataclass(frozen=True)

@@ -26,10 +26,12 @@ I_MAX, RADIUS, R, PERIOD, SECONDS, SPEED, PAIRS = 330.0, 300.0, 0.02, 1e-4, 0.5,
 NEAR = 0.02
 OF_SAMPLING = {
     "flux_lag_1ms": 0.06, "current_latency": 0.03, "current_offset": 0.1, "current_offset, imaginary": 0.1,
+    "late_magnet_heating": 0.03, "drop_by_link": 0.04,
 }  # fmt: skip
 """Relative error of a column; larger where half a sample of 0.1 ms counts: of a lag of 1 ms, and as the current of this
 drive is smooth between the samples, where that of a real drive has the ripple of the held voltage; and where coarse
-shapes stand for the slope of the drop, which is a large part of an offset's column."""
+shapes stand for the slope of the drop, which is a large part of an offset's column; and where heat and link have one
+value in a window."""
 OF_SECOND_ORDER = 0.1
 LARGE_LOSS = 1.2
 """Conductance of the iron, S."""
@@ -137,9 +139,27 @@ def turned_resolver(x, order, shift=0.0):
     return Drive(angle_error=lambda t: -x * np.cos(order * SPEED * t - shift))
 
 
+def above_and_below_mean(i_s):
+    """Return what is taken by a property of phase a above the mean, and of phase c below it."""
+    return frames.space_vector(frames.phases(i_s) * [1.0, 0.0, -1.0])
+
+
 def unequal(x):
     """Add x to the resistance of phase a and take it from that of phase c."""
-    return Drive(resistive=lambda _, i_s: R * i_s + x * frames.space_vector(frames.phases(i_s) * [1.0, 0.0, -1.0]))
+    return Drive(resistive=lambda _, i_s: R * i_s + x * above_and_below_mean(i_s))
+
+
+def late_compensation(x):
+    """Compensate one of the shapes by phase currents that are 1.5 samples late, as much as gives x V times lateness."""
+    late = 1.5 * PERIOD
+
+    def left(t, i_s):
+        shape, before = (
+            frames.space_vector(MODEL.shapes(frames.phases(i))[:, :, 4]) for i in (i_s, plain_current(t - late))
+        )
+        return R * i_s + x / late * (shape - before)
+
+    return Drive(resistive=left)
 
 
 def lopsided(x):
@@ -163,19 +183,27 @@ CASES = {
     "coercivity": (0, lambda x: Drive(terminal=lambda t: plain_current(t) + x * voltage(t) / np.abs(voltage(t))), 1.0),
     "current_latency": (0, lambda x: Drive(measured=lambda t: plain_current(t - x)), 2e-5),
     "angle_latency": (0, lambda x: Drive(angle_error=lambda t: np.full_like(t, -x * SPEED)), 2e-5),
+    "late_compensation": (2, late_compensation, 1e-5),
     "flux_lag": (0, lambda x: Drive(psi=lambda t: plain_flux(t) - x * turning(t) * by_time(dq_flux, t)), 2e-5),
     **{f"flux_lag_{1e3 * lag:g}ms": (0, lambda x, lag=lag: lagging(x, lag), 0.01) for lag in LAGS},
     "copper_heating": (0, lambda x: Drive(resistive=lambda t, i_s: (R + x * heat(t)) * i_s), 1e-3),
     "magnet_heating": (0, lambda x: Drive(psi=lambda t: plain_flux(t) + x * heat(t) * turning(t)), 1e-3),
     "magnet_heating, by current": (1, lambda x: Drive(psi=lambda t: turning(t) * flux(current(t) + x * heat(t))), 1.0),
+    "late_magnet_heating": (0, lambda x: Drive(psi=lambda t: plain_flux(t) + x * heat(t) ** 2 * turning(t)), 1e-3),
     "eccentricity": (0, lambda x: turned_resolver(x, 1 / PAIRS), 5e-3),
     "eccentricity, sine": (1, lambda x: turned_resolver(x, 1 / PAIRS, np.pi / 2), 5e-3),
     "eccentric_rotor": (0, lambda x: Drive(psi=lambda t: plain_flux(t) * (1 + x * np.cos(SPEED / PAIRS * t))), 5e-3),
     "resolver_first": (0, lambda x: turned_resolver(x, 1), 5e-3),
     "resolver_second, sine": (1, lambda x: turned_resolver(x, 2, np.pi / 2), 5e-3),
     "dc_link": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 + x * 0.01 * np.cos(LINK_TURN * t))), 0.5),
+    "drop_by_link": (
+        0, lambda x: Drive(resistive=lambda t, i_s: R * i_s + x * 0.01 * np.cos(LINK_TURN * t) * drop_of(i_s)), 0.5
+    ),
     "link_sag": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 - x * power(t, u_s))), 1e-6),
     "phase_resistance": (0, unequal, 1e-3),
+    "phase_inductance": (
+        0, lambda x: Drive(psi=lambda t: plain_flux(t) + x * above_and_below_mean(plain_current(t))), 1e-5
+    ),
     "skin_effect": (0, lambda x: Drive(resistive=lambda _, i_s: (R + x * (1e-3 * SPEED) ** 2) * i_s), 1e-3),
     "drop_asymmetry": (1, lopsided, 0.05),
     "voltage_gains": (0, lambda x: Drive(logged=lambda _, u_s: u_s - x * u_s.conj()), 1e-3),
@@ -256,9 +284,13 @@ def test_a_column_is_what_a_little_of_the_effect_changes(case, estimate, columns
         ("copper_recordings", 0, lambda x: Drive(resistive=lambda _, i_s: (R + x) * i_s), 1e-3),
         ("magnet_recordings", 0, lambda x: Drive(psi=lambda t: plain_flux(t) + x * turning(t)), 1e-3),
         ("magnet_recordings", 1, lambda x: Drive(psi=lambda t: turning(t) * flux(current(t) + x)), 1.0),
+        ("angle_of_parts", 0, lambda x: Drive(angle_error=lambda t: np.full_like(t, -x)), 1e-3),
+        ("drop_of_parts", 0, lambda x: Drive(resistive=lambda _, i_s: R * i_s + x * drop_of(i_s)), 0.05),
+        ("unlike_parts", 0, lambda x: Drive(psi=lambda t: plain_flux(t) + x * turning(t) * dq_flux(t).real), 1e-3),
+        ("unlike_parts", 1, lambda x: Drive(psi=lambda t: plain_flux(t) + x * turning(t) * 1j * dq_flux(t).imag), 1e-3),
     ],
 )
-def test_a_recording_of_its_own_temperature_changes_its_own_windows(name, number, warm, size, estimate, columns):
+def test_what_differs_in_a_recording_changes_its_own_windows(name, number, warm, size, estimate, columns):
     windows = [cut(Drive().record(), warm(sign * size).record()) for sign in (1, -1)]
     plus, minus = (residual(each, estimate) for each in windows)
     column = columns[1][:, EFFECTS[name].start + number]

@@ -122,8 +122,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
     found, several = fit.selection.search.found, several_speeds(fit.assessment.speeds)
     columns, estimate = found.columns, fit.solution.estimate
     out: list[Calibration] = []
-    shapes = fit.model.shapes.coarse(np.array(fit.model.i_max))
-    drop = float(shapes @ fit.model.coarse_drop(estimate))
+    drop = float(fit.model.shapes.coarse(np.array(fit.model.i_max)) @ fit.model.coarse_drop(estimate))
     slopes, links = jacobian(fit.model.flux, estimate[fit.model.map], np.zeros((1, 2))), _links(fit)
     parts = _parts(Windows.joined(fit.selection.search.sums.kept()), columns.divided)
     for taken in found.taken:
@@ -144,7 +143,6 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             inductance=float(slopes[0, 0, 0]),
             i_max=fit.model.i_max,
             drop=drop,
-            shapes=shapes,
             pole_pairs=columns.pole_pairs,
             link=columns.link,
             links=links,

@@ -30,6 +30,8 @@ from drive_id.types import TINY, BoolArray, FloatArray
 _FORMS = 512  # whose standard errors are evaluated at a time
 _SLOPE_STEP = 0.02
 """Relative to i_max, over which the slope of the drop is taken: wider than the noise, narrower than the step."""
+_ALIKE = 1e-3
+"""Of the largest, below which a variance of the unknowns of an effect, relative to their own, is not known."""
 _BY_SHAPE = 2.0
 """Standard errors, for white residuals, by which R must change with the shape of the curve to be uncertain by that.
 
@@ -342,12 +344,15 @@ def _among_curves(solver: Solver, solution: FullSolution) -> FloatArray:
 
 
 def _weakest(model: FullModel, solution: FullSolution, changes: FloatArray) -> str | None:
-    """Return the least significant effect, or None if all effects are significant."""
+    """Return the least significant effect, or None if all are: by one of its unknowns, or by all of them together."""
     ratios = {}
     for name in solution.spec.effects:
         own = model.effect(name)
         errors = np.maximum(sigma(changes[own]), TINY)
-        ratios[name] = float(np.max(np.abs(solution.estimate[own]) / errors))
+        relative, alike = solution.estimate[own] / errors, changes[own] / errors[:, None]
+        together = float(relative @ np.linalg.pinv(alike @ alike.T, rcond=_ALIKE, hermitian=True) @ relative)
+        by_chance = np.count_nonzero(relative) - 1  # more than a single unknown
+        ratios[name] = float(np.sqrt(max(np.max(relative**2), together - by_chance)))
     weakest = min(ratios, key=lambda name: ratios[name], default=None)
     return weakest if weakest is not None and ratios[weakest] < SIGNIFICANCE else None
 

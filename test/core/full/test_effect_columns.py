@@ -150,13 +150,14 @@ def unequal(x):
 
 
 def late_compensation(x):
-    """Compensate one of the shapes by phase currents that are 1.5 samples late, as much as gives x V times lateness."""
+    """Compensate one shape of the drop by phase currents that are late, as much as gives x V times lateness."""
     late = 1.5 * PERIOD
 
+    def of_shapes(i_s):
+        return frames.space_vector(MODEL.shapes(frames.phases(i_s))[:, :, 6])
+
     def left(t, i_s):
-        shape, before = (
-            frames.space_vector(MODEL.shapes(frames.phases(i))[:, :, 4]) for i in (i_s, plain_current(t - late))
-        )
+        shape, before = of_shapes(i_s), of_shapes(plain_current(t - late))
         return R * i_s + x / late * (shape - before)
 
     return Drive(resistive=left)
@@ -183,7 +184,7 @@ CASES = {
     "coercivity": (0, lambda x: Drive(terminal=lambda t: plain_current(t) + x * voltage(t) / np.abs(voltage(t))), 1.0),
     "current_latency": (0, lambda x: Drive(measured=lambda t: plain_current(t - x)), 2e-5),
     "angle_latency": (0, lambda x: Drive(angle_error=lambda t: np.full_like(t, -x * SPEED)), 2e-5),
-    "late_compensation": (2, late_compensation, 1e-5),
+    "late_compensation": (0, late_compensation, 1e-5),
     "flux_lag": (0, lambda x: Drive(psi=lambda t: plain_flux(t) - x * turning(t) * by_time(dq_flux, t)), 2e-5),
     **{f"flux_lag_{1e3 * lag:g}ms": (0, lambda x, lag=lag: lagging(x, lag), 0.01) for lag in LAGS},
     "copper_heating": (0, lambda x: Drive(resistive=lambda t, i_s: (R + x * heat(t)) * i_s), 1e-3),

@@ -122,7 +122,6 @@ class Reported:
     inductance: float  # d psi_d / d i_d at zero current, H
     i_max: float
     drop: float  # of the inverter, mean of the phases at i_max, V
-    shapes: FloatArray  # (S,), coarse shapes of the drop at i_max
     pole_pairs: int | None
     link: float  # mean DC-link voltage, V; NaN where it is not known
     links: tuple[float, float]  # lowest and highest mean of a recording, V, likewise

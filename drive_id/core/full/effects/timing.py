@@ -85,23 +85,24 @@ class CurrentLatency(Latency):
 class LateCompensation(DriveEffect):
     """The drive compensates the drop by phase currents that are late, in coarse shapes h: ``[h(i)_s]`` at the ends.
 
+    All shapes tend to 1: the first unknown, the others being differences from its shape, is the sum of all.
+
     Over the lateness t, ``int h(i)_s`` less that of the earlier currents is t times the difference between the
     ends, of currents half of it before.
     """
 
     width = 4
-    at_rest = True
+    at_rest, positive = True, True
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         windows, ago = at.windows, _LATENESS / 2 * at.windows.period[:, None]
         i_s = at.turn * (at.currents - ago * (windows.slope + 1j * windows.speed * at.currents))
         shapes = at.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
-        drops = [frames.space_vector(shapes[..., k]).reshape(i_s.shape) for k in range(self.width)]
-        return [windows.drop_scale * between(drop) for drop in drops]
+        *others, widest = (frames.space_vector(shapes[..., k]).reshape(i_s.shape) for k in range(self.width))
+        return [windows.drop_scale * between(drop) for drop in (widest, *(other - widest for other in others))]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        form = found.shapes[:, None]
-        yield found.entry("late_compensation", (found.value @ form)[0], found.sigma_of(form)[0], "Wb")
+        yield found.entry("late_compensation", found.value[0], found.sigma[0], "Wb")
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ _HARMONIC_RIDGE = 0.1
 """Relative to the mean diagonal of Z'Z over the map; over a harmonic it is many times larger. If the trajectory is
 synchronous with the rotor, so that harmonics and map cannot be separated, the flux is assigned to the map."""
 
-_GROUP = 512
+_GROUP = 128
 """Most windows per product: smaller groups have fewer nonzero columns but need more calls."""
 _CURVE_POINTS = 101
 """Currents, dense near zero, at which shapes of the drop are compared."""

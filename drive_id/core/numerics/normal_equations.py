@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from drive_id.core.numerics.compiled import compiled
@@ -178,3 +179,18 @@ def inverse_of(factor: FloatArray, scale: FloatArray) -> FloatArray:
     out /= scale[:, None]
     out /= scale
     return np.asarray(_symmetric(np.asarray(out)).T)  # in the order in which sparse matrices multiply it without a copy
+
+
+@compiled("const i4[::1], const i4[::1], const f8[::1], const f8[:, ::1]")
+def quadratic_forms(
+    first: NDArray[np.int32], column: NDArray[np.int32], value: FloatArray, matrix: FloatArray
+) -> FloatArray:
+    """Return ``f' A f`` (N,) of the rows f of a sparse matrix (N, K), given as in ``csr_array``, with a symmetric A."""
+    out = np.zeros(len(first) - 1)
+    for n in range(len(out)):
+        for one in range(first[n], first[n + 1]):
+            row, total = matrix[column[one]], 0.5 * matrix[column[one], column[one]] * value[one]
+            for other in range(first[n], one):
+                total += row[column[other]] * value[other]
+            out[n] += 2.0 * value[one] * total
+    return out

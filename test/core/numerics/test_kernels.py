@@ -92,3 +92,11 @@ def test_the_inverse_comes_from_the_factor():
     whole = root.T @ root + penalty.toarray()
     inverse = normal_equations.inverse_of(*normal_equations.factorize(root.T @ root, penalty))
     np.testing.assert_allclose(inverse, np.linalg.inv(whole), rtol=1e-9)
+
+
+def test_quadratic_forms_of_sparse_rows_are_those_of_dense_ones():
+    rng = np.random.default_rng(4)
+    root, rows = rng.standard_normal((9, 9)), sparse.random_array((30, 9), density=0.4, rng=rng, format="csr")
+    given = rows.indptr.astype(np.int32), rows.indices.astype(np.int32), rows.data
+    expected = np.einsum("nk,kl,nl->n", rows.toarray(), root + root.T, rows.toarray())
+    np.testing.assert_allclose(normal_equations.quadratic_forms(*given, root + root.T), expected, atol=1e-12)

@@ -8,13 +8,12 @@ from functools import partial
 import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
-from drive_id.core.accumulation.excerpts import SPAN, SPANS, Spans
+from drive_id.core.accumulation.excerpts import shortened
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.core.signals.join import Piece
 from drive_id.core.validation.metrics import nrmse, true_flux
 from drive_id.errors import DataError
 from drive_id.types import GroundTruth, Progress, Samples, silent
@@ -32,17 +31,7 @@ def identify(
     with one_blas_thread():
         evidence = gather(recordings, settings, tell)
         tell("Solving", None)
-        return conclude(evidence, excerpts(recordings))
-
-
-def excerpts(recordings: Sequence[Samples]) -> Sequence[Samples]:
-    """Return short recordings as they are, and of long ones the parts that are kept of a bag, for the MAD."""
-    if sum(map(len, recordings)) <= SPAN * SPANS:
-        return recordings
-    spans = Spans()
-    for samples in recordings:
-        spans.add(Piece(samples, continues=False))
-    return spans.samples()
+        return conclude(evidence, [shortened(samples) for samples in recordings])
 
 
 def gather(recordings: Sequence[Samples], settings: FitSettings, tell: Progress = silent) -> Evidence:

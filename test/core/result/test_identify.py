@@ -10,12 +10,10 @@ from synthetic import record, saturating_flux
 
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
-from drive_id.core.accumulation.excerpts import SPAN, SPANS, Spans
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.paper.solver import jackknife, solve
 from drive_id.core.result.conclusion import conclude
-from drive_id.core.result.identify import excerpts, identify
-from drive_id.core.signals.join import Piece
+from drive_id.core.result.identify import identify
 from drive_id.errors import CoverageError, DataError
 
 
@@ -204,14 +202,3 @@ def test_silence_is_refused(clean):
         identify([replace(clean, u_abc=np.zeros_like(clean.u_abc))])
     with pytest.raises(CoverageError):
         identify([replace(clean, i_abc=np.zeros_like(clean.i_abc))])
-
-
-def test_of_long_recordings_those_parts_are_simulated_that_are_kept_of_a_bag(clean):
-    assert excerpts([clean]) == [clean]
-    count = 1 + SPAN * SPANS // len(clean)
-    kept, every = excerpts(count * [clean]), Spans()
-    for _ in range(count):
-        every.add(Piece(clean, continues=False))
-    assert not every.whole
-    assert sum(map(len, kept)) <= SPAN * SPANS
-    np.testing.assert_array_equal(kept[0].i_abc, every.samples()[0].i_abc)

@@ -130,7 +130,7 @@ class FullFit:
         own = slice(int(first), int(last) + 1)
         columns = np.ascontiguousarray(found.white_covariance[:, own])
         both = columns[own]
-        return in_map[:, own], (both, both - columns.T @ (found.penalty @ columns))
+        return in_map[:, own], (both, both - columns.T @ (found.variant.penalty @ columns))
 
     def passive(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) where the symmetric part of the flux map's Jacobian at currents (N, 2), A, is positive definite."""

@@ -374,7 +374,7 @@ def _promise(sums: WindowSums, spec: ModelSpec, free: ModelSpec) -> bool:
     model = replace(sums.model, orders=spec.orders, reciprocal=False, cells=None)
     solver = Solver.over(sums.over(model, {0: Windows.joined(sums.kept()).thinned(_MISFIT_WINDOWS)}))
     fits = [solver.solve(replace(each, penalty=PENALTIES[0])) for each in (spec, free)]
-    left, by_free = (fit.sum_of_squares / max(fit.rows - len(fit.scale), 1.0) for fit in fits)
+    left, by_free = (fit.sum_of_squares / max(fit.rows - fit.unknowns, 1.0) for fit in fits)
     least = _PROMISING if sums.model.resolution.finer_than_usual else _HOPEFUL
     return by_free < (1.0 - least) * left
 

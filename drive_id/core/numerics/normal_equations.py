@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -150,13 +151,14 @@ def solved(normal: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(linalg.cho_solve((factor, True), right / scale, check_finite=False) / scale)
 
 
-def factorize(normal: FloatArray, by: sparse.csr_array | None = None) -> tuple[FloatArray, FloatArray]:
-    """Return the lower Cholesky factor of a symmetric matrix, scaled to a unit diagonal, and the scale.
+def factorize(
+    normal: FloatArray, by: sparse.csr_array | None = None, scale: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lower Cholesky factor of a symmetric matrix, scaled, by default to a unit diagonal, and the scale.
 
     The matrix is increased by a sparse one, if given.
     """
-    diagonal = np.diag(normal) + (0.0 if by is None else by.diagonal())
-    scale = np.sqrt(np.maximum(diagonal, 1e-24 * diagonal.max()))
+    scale = _scale_of(np.diag(normal) + (0.0 if by is None else by.diagonal())) if scale is None else scale
     inverse, jitter = 1.0 / scale, _JITTER
     relative = None if by is None else sparse.csr_array(sparse.diags_array(inverse) @ by @ sparse.diags_array(inverse))
     while True:
@@ -173,12 +175,66 @@ def factorize(normal: FloatArray, by: sparse.csr_array | None = None) -> tuple[F
             jitter *= 100.0
 
 
-def inverse_of(factor: FloatArray, scale: FloatArray) -> FloatArray:
-    """Return the inverse (M, M) of a factorized matrix, see :func:`factorize`."""
-    out, _ = linalg.lapack.dpotri(factor, lower=True)
-    out /= scale[:, None]
-    out /= scale
-    return np.asarray(_symmetric(np.asarray(out)).T)  # in the order in which sparse matrices multiply it without a copy
+def _scale_of(diagonal: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.maximum(diagonal, 1e-24 * diagonal.max(initial=0.0))))
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Lower Cholesky factor of a symmetric matrix (M, M) with a scaled diagonal, see :func:`factorize`, in two blocks.
+
+    Matrices with the same first block share the work for that.
+    """
+
+    first: FloatArray  # (K, K), factor of the first block
+    across: FloatArray  # (K, J), first^-1 times the block beside it
+    last: FloatArray  # (J, J)
+    scale: FloatArray  # (M,)
+
+    @classmethod
+    def extended(
+        cls, first: tuple[FloatArray, FloatArray], half: FloatArray, normal: FloatArray, by: sparse.csr_array
+    ) -> Factor:
+        """Append a block ``normal + by`` (J, J); ``half`` (K, J) is first^-1 times the scaled rows beside it."""
+        factor, scale = first
+        own = _scale_of(np.diag(normal) + by.diagonal())
+        across = half / own
+        last, _ = factorize(normal - half.T @ half, by, own)
+        return cls(factor, across, last, np.append(scale, own))
+
+    @property
+    def diagonal(self) -> FloatArray:
+        """Its diagonal (M,)."""
+        return np.append(np.diag(self.first), np.diag(self.last))
+
+    def half(self, forms: FloatArray) -> FloatArray:
+        """Return ``L^-1 b`` (M, N) for b (M, N), L being the unscaled factor."""
+        split, scaled = len(self.first), forms / self.scale[:, None]
+        top = linalg.solve_triangular(self.first, scaled[:split], lower=True, check_finite=False)
+        return self.joined(top, forms[split:])
+
+    def joined(self, top: FloatArray, forms: FloatArray) -> FloatArray:
+        """Return ``L^-1 b`` (M, N) from the first rows of it (K, N), and the last ones of b (J, N)."""
+        rest = forms / self.scale[len(top) :, None] - self.across.T @ top
+        return np.append(top, linalg.solve_triangular(self.last, rest, lower=True, check_finite=False), axis=0)
+
+    def back(self, half: FloatArray) -> FloatArray:
+        """Return ``L'^-1 b`` (M, ...) for b (M, ...)."""
+        split = len(self.first)
+        bottom = linalg.solve_triangular(self.last, half[split:], lower=True, trans="T", check_finite=False)
+        rest = half[:split] - self.across @ bottom
+        top = linalg.solve_triangular(self.first, rest, lower=True, trans="T", check_finite=False)
+        return np.asarray((np.append(top, bottom, axis=0).T / self.scale).T)
+
+    def inverse(self) -> FloatArray:
+        """Return the inverse (M, M) of the matrix."""
+        split = len(self.first)
+        whole = np.empty((len(self.scale),) * 2, order="F")
+        whole[:split, :split], whole[split:, :split], whole[split:, split:] = self.first, self.across.T, self.last
+        out, _ = linalg.lapack.dpotri(whole, lower=True, overwrite_c=True)
+        out /= self.scale[:, None]
+        out /= self.scale
+        return np.asarray(_symmetric(np.asarray(out)).T)  # in the order in which sparse matrices multiply it, uncopied
 
 
 @compiled("const i4[::1], const i4[::1], const f8[::1], const f8[:, ::1]")

@@ -31,7 +31,7 @@ from drive_id.core.full.model import (
     sum_basis,
 )
 from drive_id.core.full.reduced import Reduced, best_delay, voltage_columns
-from drive_id.core.full.window_sums import WindowSums, with_products
+from drive_id.core.full.window_sums import Factors, WindowSums, with_products
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.core.numerics.normal_equations import Factor, congruent, factorize, penalized, times, unpacked
@@ -158,6 +158,8 @@ class Solver:
         Z'z of each fold for the columns z of the effects, where the folds lack them.
     unit : float, optional
         Mean diagonal of Z'Z over the columns of a free map; default: that of the folds, if they are free.
+    factors : Factors, optional
+        Of map and harmonics, where another solver of the same folds, with other effects, knows some.
     """
 
     def __init__(
@@ -167,6 +169,7 @@ class Solver:
         counts: FloatArray,
         effects: FloatArray | None = None,
         unit: float | None = None,
+        factors: Factors | None = None,
     ) -> None:
         self.model = model
         self.counts = counts
@@ -177,11 +180,12 @@ class Solver:
         every = None if effects is None else effects.sum(axis=0)
         self.total = with_products(unpacked(total, model.summed.size), every, model)
         self._maps: dict[ModelSpec, _Maps] = {}
+        self._factors = Factors() if factors is None else factors
 
     @classmethod
     def over(cls, sums: WindowSums) -> Solver:
         """Return the solver of the sums over windows, which must not change any more."""
-        return cls(sums.model, sums.triangles(), sums.counts, sums.effects, sums.unit)
+        return cls(sums.model, sums.triangles(), sums.counts, sums.effects, sums.unit, sums.factors)
 
     @property
     def total_voltage(self) -> float:
@@ -362,13 +366,18 @@ class Solver:
         if without is not None:
             fold = self._fold(without)
             matrix = np.subtract(matrix, fold, out=fold)  # several folds at a time
-        penalty = self._penalty(t, spec.penalty, noise)
-        factor, scale = factorize(congruent(t, matrix), penalty)
+        if not plain or (known := self._factors.get(spec)) is None:
+            penalty = self._penalty(t, spec.penalty, noise)
+            known = penalty, *factorize(congruent(t, matrix), penalty)
+        penalty, factor, scale = known
         products = np.asarray(t.T @ matrix[:, : self._others]) / scale[:, None]
         half = linalg.solve_triangular(factor, products, lower=True, check_finite=False)
         maps = _Maps(t, penalty, (factor, scale), half, matrix[: self._others, : self._others].copy())
         if plain:
-            self._maps = dict([*self._maps.items(), (spec, maps)][-_KEPT:])
+            self._maps[spec], self._factors[spec] = maps, known
+            for kept in (self._maps, self._factors):
+                for old in list(kept)[:-_KEPT]:
+                    del kept[old]
         return maps
 
     def _penalty(self, t: sparse.csr_array, weight: float, noise: sparse.csr_array | None = None) -> sparse.csr_array:
@@ -409,12 +418,12 @@ class CurrentNoise:
     windows: Windows  # a subset, evenly over time, whose ends give the currents
     angle_variance: float = 0.0  # mean square error of an interpolated angle, rad^2
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Mean sample period, s."""
         return float(self.windows.period.mean())
 
-    @property
+    @cached_property
     def turn(self) -> float:
         """Electrical angle per sample, rms, rad."""
         turn = self.windows.speed.mean(axis=1) * self.windows.period

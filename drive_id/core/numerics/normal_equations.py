@@ -162,8 +162,8 @@ def factorize(
     inverse, jitter = 1.0 / scale, _JITTER
     relative = None if by is None else sparse.csr_array(sparse.diags_array(inverse) @ by @ sparse.diags_array(inverse))
     while True:
-        scaled = normal * inverse[:, None]
-        scaled *= inverse
+        scaled = np.empty(normal.shape)
+        _equilibrate(normal, inverse, scaled)
         if relative is not None:
             increased(scaled, relative)
         scaled[np.diag_indices_from(scaled)] += jitter
@@ -177,6 +177,14 @@ def factorize(
 
 def _scale_of(diagonal: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.maximum(diagonal, 1e-24 * diagonal.max(initial=0.0))))
+
+
+@compiled("f8[:, :], const f8[::1], f8[:, ::1]")
+def _equilibrate(matrix: FloatArray, by: FloatArray, out: FloatArray) -> None:
+    """Write the upper triangle of a matrix (K, K) that is multiplied by (K,) on both sides."""
+    for row in range(len(by)):
+        for column in range(row, len(by)):
+            out[row, column] = matrix[row, column] * by[row] * by[column]
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import linalg, sparse
@@ -31,7 +32,7 @@ from drive_id.core.full.model import (
     sum_basis,
 )
 from drive_id.core.full.reduced import Reduced, best_delay, voltage_columns
-from drive_id.core.full.window_sums import Factors, WindowSums, with_products
+from drive_id.core.full.window_sums import WindowSums, with_products
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.core.numerics.normal_equations import Factor, congruent, factorize, penalized, times, unpacked
@@ -72,6 +73,7 @@ class _Maps:
     factor: tuple[FloatArray, FloatArray]  # L (K, K), and scale (K,)
     half: FloatArray  # (K, S), L^-1 times the scaled products with the S other columns
     beside: FloatArray  # (S, S), products of these
+    effects: FloatArray | None  # among them, as :class:`Solver` takes them
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,8 +160,8 @@ class Solver:
         Z'z of each fold for the columns z of the effects, where the folds lack them.
     unit : float, optional
         Mean diagonal of Z'Z over the columns of a free map; default: that of the folds, if they are free.
-    factors : Factors, optional
-        Of map and harmonics, where another solver of the same folds, with other effects, knows some.
+    known : dict, optional
+        What solvers of these folds, with other effects, share: the elimination of map and harmonics.
     """
 
     def __init__(
@@ -169,7 +171,7 @@ class Solver:
         counts: FloatArray,
         effects: FloatArray | None = None,
         unit: float | None = None,
-        factors: Factors | None = None,
+        known: dict[Any, Any] | None = None,
     ) -> None:
         self.model = model
         self.counts = counts
@@ -179,13 +181,12 @@ class Solver:
             total += one
         every = None if effects is None else effects.sum(axis=0)
         self.total = with_products(unpacked(total, model.summed.size), every, model)
-        self._maps: dict[ModelSpec, _Maps] = {}
-        self._factors = Factors() if factors is None else factors
+        self._known: dict[ModelSpec, _Maps] = {} if known is None else known
 
     @classmethod
     def over(cls, sums: WindowSums) -> Solver:
         """Return the solver of the sums over windows, which must not change any more."""
-        return cls(sums.model, sums.triangles(), sums.counts, sums.effects, sums.unit, sums.factors)
+        return cls(sums.model, sums.triangles(), sums.counts, sums.effects, sums.unit, sums.known)
 
     @property
     def total_voltage(self) -> float:
@@ -244,14 +245,14 @@ class Solver:
         t, voltage = sum_basis(self.model, spec), self._voltage(spec)
         normal, moment = congruent(t, self.total), t.T @ times(self.total, voltage)
         tried = [self._penalty(t, penalty) for penalty in penalties or (spec.penalty,)]
-        in_map = np.asarray(abs(t[self.model.summed.map]).sum(axis=0)).ravel() > 0
+        of_map = len(np.unique(t[self.model.summed.map].indices))
 
         def errors(number: int) -> list[float]:
             fold = self._fold(number)
             own, product = congruent(t, fold), times(fold, voltage)
             del fold
             own_moment, square = t.T @ product, voltage @ product
-            estimates = penalized(normal - own, moment - own_moment, tried, in_map)
+            estimates = penalized(normal - own, moment - own_moment, tried, of_map)
             return [
                 max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
             ]
@@ -360,24 +361,23 @@ class Solver:
     def _eliminated(self, spec: ModelSpec, noise: sparse.csr_array | None, without: int | None) -> _Maps:
         """Eliminate map and harmonics; the last results of all folds are kept."""
         plain = noise is None and without is None
-        if plain and spec in self._maps:
-            return self._maps[spec]
+        known = self._known.get(spec) if plain else None
+        if known is not None and known.effects is self._effects:
+            return known
         matrix, t = self.total, map_basis(self.model, spec)
         if without is not None:
             fold = self._fold(without)
             matrix = np.subtract(matrix, fold, out=fold)  # several folds at a time
-        if not plain or (known := self._factors.get(spec)) is None:
-            penalty = self._penalty(t, spec.penalty, noise)
-            known = penalty, *factorize(congruent(t, matrix), penalty)
-        penalty, factor, scale = known
+        penalty = known.penalty if known else self._penalty(t, spec.penalty, noise)
+        factor, scale = known.factor if known else factorize(congruent(t, matrix), penalty)
         products = np.asarray(t.T @ matrix[:, : self._others]) / scale[:, None]
         half = linalg.solve_triangular(factor, products, lower=True, check_finite=False)
-        maps = _Maps(t, penalty, (factor, scale), half, matrix[: self._others, : self._others].copy())
+        beside = matrix[: self._others, : self._others].copy()
+        maps = _Maps(t, penalty, (factor, scale), half, beside, self._effects)
         if plain:
-            self._maps[spec], self._factors[spec] = maps, known
-            for kept in (self._maps, self._factors):
-                for old in list(kept)[:-_KEPT]:
-                    del kept[old]
+            self._known[spec] = maps
+            for old in list(self._known)[:-_KEPT]:
+                del self._known[old]
         return maps
 
     def _penalty(self, t: sparse.csr_array, weight: float, noise: sparse.csr_array | None = None) -> sparse.csr_array:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, sparse
+from scipy import linalg
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import EFFECT_COLUMNS, FullModel
@@ -37,10 +37,6 @@ _ROUNDING = 1e-10
 """Added to the unit diagonal: products are exact to 1e-13, and columns without data must not end the factorization."""
 
 
-class Factors(dict[Any, tuple[sparse.csr_array, FloatArray, FloatArray]]):
-    """Penalty, Cholesky factor and scale of map and harmonics, by variant."""
-
-
 class WindowSums:
     """Z'Z over windows, per fold, in memory that does not grow with the recording.
 
@@ -64,7 +60,7 @@ class WindowSums:
         self._due: list[tuple[int, Windows]] = []  # folds and windows whose products are still to be formed
         self.effects: FloatArray | None = None
         """Z'z (FOLDS, size, EFFECT_COLUMNS), z being the columns of the effects; see :meth:`with_effects`."""
-        self.factors = Factors()  # of map and harmonics, known to solvers; effects leave them as they are
+        self.known: dict[Any, Any] = {}  # to solvers of these folds, with any effects
         # triangles and rows of the folds over the kept windows alone, where these are not all
         self._some: tuple[list[FloatArray], FloatArray] | None = None
         self._counts = np.zeros(FOLDS)
@@ -109,7 +105,7 @@ class WindowSums:
         """Return an independent copy; folds are shared until one of the two changes them."""
         other = copy.copy(self)
         other._cutter = self._cutter.copy()  # noqa: SLF001  # of its own class
-        other.factors = Factors()
+        other.known = {}
         other._folds, other._shared = list(self._folds), set(range(len(self._folds)))  # noqa: SLF001
         self._shared = set(other._shared)  # noqa: SLF001  # copied before the first change
         other._due = list(self._due)  # noqa: SLF001
@@ -156,7 +152,7 @@ class WindowSums:
         of what they cover, and is therefore found by iterated Tikhonov regularization.
         """
         other, model = self.copy(), self.model
-        other.factors = self.factors
+        other.known = self.known
         numbers, kept = sorted(self._kept), self.kept()
         products = np.zeros((FOLDS, model.summed.size, EFFECT_COLUMNS))
 

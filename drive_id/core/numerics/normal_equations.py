@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from drive_id.core.numerics.compiled import compiled
-from drive_id.types import BoolArray, FloatArray, IntArray
+from drive_id.types import FloatArray, IntArray
 
 _JITTER = 1e-13  # added to the unit diagonal, so that rounding leaves the matrix positive definite
 _TILE = 256  # rows and columns at a time, which stay in the cache
@@ -108,32 +108,20 @@ def times(matrix: FloatArray, voltage: FloatArray) -> FloatArray:
 
 
 def penalized(
-    normal: FloatArray, moment: FloatArray, penalties: Sequence[sparse.csr_array], in_map: BoolArray
+    normal: FloatArray, moment: FloatArray, penalties: Sequence[sparse.csr_array], first: int
 ) -> list[FloatArray]:
-    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in the unknowns of the map.
-
-    The unknowns of the map are adjacent. ``normal`` is overwritten.
-    """
-    outer, (first, last) = np.flatnonzero(~in_map), np.flatnonzero(in_map)[[0, -1]]
-    inner = slice(first, last + 1)
-    factor, scale = factorize(selected(normal, outer, outer), penalties[0][outer][:, outer])
-
-    def halved(rows: FloatArray) -> FloatArray:
-        """Return L^-1 b for b (K, len(outer))', in the order of LAPACK, so that nothing is copied."""
-        scaled = (rows / scale).T
-        return np.asarray(linalg.solve_triangular(factor, scaled, lower=True, overwrite_b=True, check_finite=False))
-
-    across, known = halved(selected(normal, np.arange(first, last + 1), outer)), halved(moment[outer])
-    schur, reduced = normal[inner, inner], moment[inner] - across.T @ known
-    schur -= across.T @ across
-    estimates = []
+    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in so many first unknowns."""
+    inner, outer, estimates = slice(first), slice(first, None), []
+    factor, scale = factorize(normal[outer, outer], penalties[0][outer, outer])
+    half, known = (  # (K, N) in the order of LAPACK, so that nothing is copied
+        linalg.solve_triangular(factor, (rows / scale).T, lower=True, overwrite_b=True, check_finite=False)
+        for rows in (normal[inner, outer], moment[None, outer])
+    )
+    schur = normal[inner, inner] - half.T @ half
     for penalty in penalties:
-        inner_factor, inner_scale = factorize(schur, penalty[inner][:, inner])
-        x = np.empty(len(moment))
-        x[inner] = linalg.cho_solve((inner_factor, True), reduced / inner_scale, check_finite=False) / inner_scale
-        rest = known - across @ x[inner]
-        x[outer] = linalg.solve_triangular(factor, rest, lower=True, trans="T", check_finite=False) / scale
-        estimates.append(x)
+        last, own = factorize(schur, penalty[inner, inner])
+        whole = Factor(factor, half / own, last, np.append(scale, own))
+        estimates.append(np.roll(whole.back(whole.joined(known, moment[inner, None])[:, 0]), first))
     return estimates
 
 

@@ -35,7 +35,7 @@ from drive_id.core.full.reduced import Reduced, best_delay, voltage_columns
 from drive_id.core.full.window_sums import WindowSums, with_products
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import jacobian
-from drive_id.core.numerics.normal_equations import Factor, congruent, factorize, penalized, times, unpacked
+from drive_id.core.numerics.normal_equations import Factor, congruent, factorize, penalized, unpacked
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import TINY, BoolArray, FloatArray, IntArray
 
@@ -243,13 +243,13 @@ class Solver:
         ``S + lambda P`` is solved for each penalty lambda.
         """
         t, voltage = sum_basis(self.model, spec), self._voltage(spec)
-        normal, moment = congruent(t, self.total), t.T @ times(self.total, voltage)
+        normal, moment = congruent(t, self.total), t.T @ (self.total[:, : self._others] @ voltage[: self._others])
         tried = [self._penalty(t, penalty) for penalty in penalties or (spec.penalty,)]
         of_map = len(np.unique(t[self.model.summed.map].indices))
 
         def errors(number: int) -> list[float]:
             fold = self._fold(number)
-            own, product = congruent(t, fold), times(fold, voltage)
+            own, product = congruent(t, fold), fold[:, : self._others] @ voltage[: self._others]
             del fold
             own_moment, square = t.T @ product, voltage @ product
             estimates = penalized(normal - own, moment - own_moment, tried, of_map)

@@ -101,12 +101,6 @@ def add_triangle(block: FloatArray, columns: IntArray, triangle: FloatArray) -> 
             triangle[start + columns[other]] += block[k, other]
 
 
-def times(matrix: FloatArray, voltage: FloatArray) -> FloatArray:
-    """Return A v for a v with few non-zero entries."""
-    entries = np.flatnonzero(voltage)
-    return np.asarray(matrix[:, entries] @ voltage[entries])
-
-
 def penalized(
     normal: FloatArray, moment: FloatArray, penalties: Sequence[sparse.csr_array], first: int
 ) -> list[FloatArray]:

@@ -80,3 +80,12 @@ class Spans:
                 for number, part in self._parts.items()
                 if number % self._stride == 0
             }
+
+
+def shortened(samples: Samples) -> Samples:
+    """Return a recording as it is, or what is kept of a long one."""
+    if len(samples) <= SPAN * SPANS:
+        return samples
+    spans = Spans()
+    spans.add(Piece(samples, continues=False))
+    return spans.samples()[0]

@@ -7,7 +7,7 @@ error on data left out, segment by segment of time. What physics excludes is no 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 
@@ -153,8 +153,18 @@ class _Search:
 
     def best(self, names: frozenset[str]) -> _Set | None:
         """Return a set with the delay that suits it, if any is possible."""
-        sets = (self.of(names, delay) for delay in self._delays(names) if self.allows(names, delay))
-        return min(sets, key=lambda each: each.score, default=None)
+        return next(iter(self._best_of([names], 1)), None)
+
+    def _best_of(self, choices: Iterable[frozenset[str]], most: int) -> list[_Set]:
+        """Return those possible sets that have the least scores, each with the delay that suits it."""
+        sets = [self.of(names, delay) for names in choices for delay in self._delays(names)]
+        out: dict[frozenset[str], _Set] = {}
+        for each in sorted(sets, key=lambda each: (each.score, sorted(each.names))):
+            if each.names not in out and self.allows(each.names, each.delay):
+                out[each.names] = each
+                if len(out) == most:
+                    break
+        return list(out.values())
 
     def _delays(self, names: frozenset[str]) -> Iterator[float]:
         yield self.usual
@@ -188,8 +198,7 @@ class _Search:
         found, beam = [self.best(start.names) or start], [start]
         for _ in range(_DEEP):
             names = {each.names | {name} for each in beam for name in self.rules.allowed if name not in each.names}
-            sets = [each for each in map(self.best, names) if each is not None]
-            beam = sorted(sets, key=lambda each: (each.score, sorted(each.names)))[:_WIDE]
+            beam = self._best_of(names, _WIDE)
             found += beam[:1]
         return min(found, key=lambda each: each.score)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 from scipy import sparse
@@ -24,10 +24,10 @@ from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.maps.flux_models import BasisRows, jacobian, positive_definite
 from drive_id.core.maps.inverter_curve import WIDE
+from drive_id.core.numerics.normal_equations import quadratic_forms
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.types import TINY, BoolArray, FloatArray
 
-_FORMS = 512  # whose standard errors are evaluated at a time
 _SLOPE_STEP = 0.02
 """Relative to i_max, over which the slope of the drop is taken: wider than the noise, narrower than the step."""
 _ALIKE = 1e-3
@@ -117,17 +117,22 @@ class FullFit:
         The first also holds the error by the penalty, which is taken for a prior (Wahba 1983, Nychka 1988): the
         covariance ``C = (Z'Z + P)^-1``. The second is the spread by the residuals alone: ``C - C P C``.
         """
-        found, map_basis = self.solution, self.solution.basis[self.model.map]
-        forms = sparse.csr_array(rows.sparse(map_basis.shape[0]) @ map_basis)
-        both, spread = np.empty(forms.shape[0]), np.empty(forms.shape[0])
-        for start in range(0, len(both), _FORMS):
-            part = slice(start, start + _FORMS)
-            response = np.asarray(forms[part] @ found.white_covariance)
-            both[part] = forms[part].multiply(response).sum(axis=1)
-            spread[part] = both[part] - np.sum((response @ found.penalty) * response, axis=1)
-        variances = (np.maximum(each, 0.0).reshape(-1, 2) for each in (both, spread))
-        first, second = (found.residual_rms * np.sqrt(each) for each in variances)
+        own, covariances = self._white_covariances
+        forms = sparse.csr_array(rows.sparse(self.model.flux.parameters) @ own)
+        of_form = forms.indptr.astype(np.int32), forms.indices.astype(np.int32), forms.data
+        variances = (np.maximum(quadratic_forms(*of_form, each), 0.0).reshape(-1, 2) for each in covariances)
+        first, second = (self.solution.residual_rms * np.sqrt(each) for each in variances)
         return first, second
+
+    @cached_property
+    def _white_covariances(self) -> tuple[sparse.csr_array, tuple[FloatArray, FloatArray]]:
+        """The map's parameters by its unknowns (P, K), and C and ``C - C P C``, (K, K), of the latter."""
+        found, in_map = self.solution, self.solution.basis[self.model.map]
+        first, last = np.flatnonzero(np.asarray(abs(in_map).sum(axis=0)))[[0, -1]]
+        own = slice(int(first), int(last) + 1)
+        columns = np.ascontiguousarray(found.white_covariance[:, own])
+        both = columns[own]
+        return in_map[:, own], (both, both - columns.T @ (found.variant.penalty @ columns))
 
     def passive(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) where the symmetric part of the flux map's Jacobian at currents (N, 2), A, is positive definite."""

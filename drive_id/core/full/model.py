@@ -59,7 +59,7 @@ _HARMONIC_RIDGE = 0.1
 """Relative to the mean diagonal of Z'Z over the map; over a harmonic it is many times larger. If the trajectory is
 synchronous with the rotor, so that harmonics and map cannot be separated, the flux is assigned to the map."""
 
-_GROUP = 512
+_GROUP = 128
 """Most windows per product: smaller groups have fewer nonzero columns but need more calls."""
 _CURVE_POINTS = 101
 """Currents, dense near zero, at which shapes of the drop are compared."""
@@ -415,7 +415,12 @@ def _turned_on(windows: Windows) -> ComplexArray:
 
 
 def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
-    """Return T (summed.size, M), from the unknowns of a variant to the columns of the sums.
+    """Return T (summed.size, M), from the unknowns of a variant to the columns of the sums, those of the maps first."""
+    return sparse.csr_array(sparse.hstack([map_basis(model, spec), own_basis(model, spec)]))
+
+
+def map_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
+    """Return the part (summed.size, K) of T for map and harmonics.
 
     Raises ValueError if the maps are free and the columns of the sums are reciprocal.
     """
@@ -430,18 +435,27 @@ def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
         constant = sparse.eye_array(potentials, potentials - 1, k=-1, format="coo")
         return constant if model.reciprocal else sparse.coo_array(space.gradient @ constant)
 
+    amplitudes = of_map(model.harmonic)
+    starts = [layout.harmonics[order].start + half for order in spec.orders for half in (0, amplitudes.shape[0])]
+    return _placed(layout.size, [(layout.map.start, of_map(model.flux)), *((start, amplitudes) for start in starts)])
+
+
+def own_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
+    """Return the part (summed.size, J) of T for the other unknowns."""
     own = [(columns.start, sparse.eye_array(columns.stop - columns.start)) for columns in _own_columns(model, spec)]
     if spec.inverter:
         shapes = model.shapes.usual + spec.wide
         drops = np.eye(3 * shapes) if spec.per_phase else np.kron(np.eye(shapes), np.ones((3, 1)))
         own.append((model.drops.start, sparse.coo_array(drops)))
-    amplitudes = of_map(model.harmonic)
-    starts = [layout.harmonics[order].start + half for order in spec.orders for half in (0, amplitudes.shape[0])]
-    own += [(layout.map.start, of_map(model.flux)), *((start, amplitudes) for start in starts)]
-    column = np.concatenate([first + np.arange(block.shape[0], dtype=np.int32) for first, block in own])
-    blocks = sparse.block_diag([block for _, block in own], format="coo")
-    row, unknown = blocks.coords
-    return sparse.csr_array((blocks.data, (column[row], unknown)), shape=(layout.size, blocks.shape[1]))
+    return _placed(model.summed.size, own)
+
+
+def _placed(size: int, blocks: Sequence[tuple[int, sparse.coo_array]]) -> sparse.csr_array:
+    """Return the blocks side by side, each from its first row on of so many."""
+    row = np.concatenate([first + np.arange(block.shape[0], dtype=np.int32) for first, block in blocks])
+    beside = sparse.block_diag([block for _, block in blocks], format="coo")
+    of_block, unknown = beside.coords
+    return sparse.csr_array((beside.data, (row[of_block], unknown)), shape=(size, beside.shape[1]))
 
 
 def _own_columns(model: FullModel, spec: ModelSpec) -> Iterator[slice]:

@@ -8,12 +8,11 @@ of effects E with the voltages v leaves the sum of squares ``v'(S_vv - S_vE S_EE
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy import sparse
 
 from drive_id.core.full.model import SHIFT, VOLTAGE, FullModel, delay_shares
 from drive_id.core.full.windows import EARLIEST, SHIFTS
@@ -79,16 +78,16 @@ class Reduced:
     ----------
     form : (C, C) float
         S over the columns of the voltages, then those of the effects.
-    back : (M, C) float
-        Values of the eliminated unknowns per unit of each of these columns on the right.
-    t : (summed.size, M) sparse
-        From the eliminated unknowns to the columns of the sums.
+    half : (M, C) float
+        Products of the eliminated unknowns with these columns.
+    back : callable
+        Returns the eliminated columns (summed.size,) of the sums for combinations (M,) of these.
     """
 
     model: FullModel
     form: FloatArray
-    back: FloatArray
-    t: sparse.csr_array
+    half: FloatArray
+    back: Callable[[FloatArray], FloatArray]
 
     @staticmethod
     def columns(model: FullModel) -> IntArray:
@@ -124,6 +123,6 @@ class Reduced:
         right[: len(base)] = delayed(delay)
         for name, place in self._own(found.names):
             right[place] = -found.value(name, delay)
-        summed = self.t @ (self.back @ right)
+        summed = self.back(self.half @ right)
         summed[self.columns(self.model)] -= right
         return np.asarray(self.model.expansion @ summed)

@@ -57,12 +57,14 @@ _FREE_TURN = np.deg2rad(3.0)
 second order only, and what remains is not reciprocal. Of 224 random drives, free maps won in 14 with reciprocal
 machines, 12 of them faster than this, and in 5 with others, 4 of them slower, where they gained 0.03 to 0.06 %."""
 _PROMISING = 0.3
-"""Share of the squared residuals that free maps must save over cells of the usual size to be tried over fine ones: 0.09
-and 0.25 on reciprocal machines whose details those miss, 0.39 where 0.1 % of the flux is not reciprocal."""
+"""Share of the residuals' variance that free maps must save over cells of the usual size to be tried over fine ones.
+Of the squares, they save 0.09 and 0.25 on reciprocal machines whose details those cells miss, 0.39 where 0.1 % of the
+flux is not reciprocal."""
 _MOST_LEFT = 0.5
 """Share of the squared residuals that a provisional delay may leave: hard dead time resembles one, but leaves more."""
 _MISFIT_WINDOWS = 6000
-"""Windows whose residuals are attributed to cells: some 100 for each cell of an axis."""
+"""Windows whose residuals are attributed to cells, some 100 for each cell of an axis, and over which free maps must
+promise a gain."""
 _REFINEMENTS = 4
 """Most divisions of the cells, each to a half or a quarter: from 28 to 0.1 A at i_max = 400 A."""
 _SMOOTH = 1.0
@@ -337,7 +339,7 @@ def _with_free_maps(
     if not (settings.maps == "auto" and _may_be_free(spec, turn) and _shows(search.solver, error)):
         return Selection(search.solution, search)
     free = replace(spec, reciprocal=False, delay=0.0 if settings.calibrate_delay else spec.delay)
-    if search.sums.model.resolution.finer_than_usual and not _promise(search.sums, spec, free):
+    if not _promise(search.sums, spec, free):
         return Selection(search.solution, search)
     freed = search.sums.freed(spec.orders)
     solver = Solver.over(freed)
@@ -364,16 +366,17 @@ def _with_free_maps(
 
 
 def _promise(sums: WindowSums, spec: ModelSpec, free: ModelSpec) -> bool:
-    """Tell whether free maps leave clearly less over cells of the usual size.
+    """Tell whether free maps leave clearly less of some windows, over cells of the usual size.
 
-    What is not reciprocal is no finer than what is, and free maps over fine cells take most of a fit's time and memory.
+    They take most of a fit's time and memory, over fine cells above all, and what is not reciprocal is no finer than
+    what is. In the variance of windows that are fitted they gain about twice as much as for data left out.
     """
-    usual = sums.over(replace(sums.model, cells=None))
-    left, by_free = (
-        Solver.over(each).solve(replace(own, penalty=PENALTIES[0]))
-        for each, own in ((usual, spec), (usual.freed(spec.orders), free))
-    )
-    return by_free.sum_of_squares < (1.0 - _PROMISING) * left.sum_of_squares
+    model = replace(sums.model, orders=spec.orders, reciprocal=False, cells=None)
+    solver = Solver.over(sums.over(model, {0: Windows.joined(sums.kept()).thinned(_MISFIT_WINDOWS)}))
+    fits = [solver.solve(replace(each, penalty=PENALTIES[0])) for each in (spec, free)]
+    left, by_free = (fit.sum_of_squares / max(fit.rows - fit.unknowns, 1.0) for fit in fits)
+    least = _PROMISING if sums.model.resolution.finer_than_usual else _CLEAR_GAIN
+    return by_free < (1.0 - least) * left
 
 
 def _may_be_free(spec: ModelSpec, turn: float) -> bool:

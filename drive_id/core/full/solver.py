@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy import linalg, sparse
@@ -25,6 +26,8 @@ from drive_id.core.full.model import (
     FullModel,
     ModelSpec,
     delay_shares,
+    map_basis,
+    own_basis,
     roughness,
     sum_basis,
 )
@@ -32,7 +35,7 @@ from drive_id.core.full.reduced import Reduced, best_delay, voltage_columns
 from drive_id.core.full.window_sums import WindowSums, with_products
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import jacobian
-from drive_id.core.numerics.normal_equations import congruent, factorize, inverse_of, penalized, times, unpacked
+from drive_id.core.numerics.normal_equations import Factor, congruent, factorize, penalized, unpacked
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import TINY, BoolArray, FloatArray, IntArray
 
@@ -55,8 +58,41 @@ _POWERS, _FOUND = 20, 0.6
 """Steps of a power iteration for the largest share, and what they find of it at least."""
 _THINNED = 2000
 """Windows from which the effect of current noise is computed: a mean over as many is within 2 %."""
+_KEPT = 2
+"""Eliminations that are kept: of the penalty that was chosen, and of the largest one."""
 _ROUNDING = 1e-13
 """Sum of squared residuals, relative to that of the voltages, that is rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Maps:
+    """Map and harmonics, eliminated: what is the same with any effects, delay and curve of the inverter."""
+
+    t: sparse.csr_array  # (summed.size, K)
+    penalty: sparse.csr_array  # (K, K)
+    factor: tuple[FloatArray, FloatArray]  # L (K, K), and scale (K,)
+    half: FloatArray  # (K, S), L^-1 times the scaled products with the S other columns
+    beside: FloatArray  # (S, S), products of these
+    effects: FloatArray | None  # among them, as :class:`Solver` takes them
+
+
+@dataclass(frozen=True, eq=False)
+class Variant:
+    """A variant of the model, factorized."""
+
+    t: sparse.csr_array  # (summed.size, M)
+    own: sparse.csr_array  # (S, J), its last columns, of the unknowns beside the maps
+    penalty: sparse.csr_array  # (M, M), the part of the normal matrix that comes from no data
+    factor: Factor  # of the penalized normal matrix
+    maps: _Maps
+
+    def half(self, columns: FloatArray) -> FloatArray:
+        """Return L^-1 times the products (M, N) with combinations (S, N) of the other columns."""
+        return self.factor.joined(self.maps.half @ columns, np.asarray(self.own.T @ (self.maps.beside @ columns)))
+
+    def back(self, half: FloatArray) -> FloatArray:
+        """Return T L'^-1 b (summed.size, ...) for b (M, ...)."""
+        return np.asarray(self.t @ self.factor.back(half))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +105,7 @@ class FullSolution:
     estimate: FloatArray
     basis: sparse.csr_array  # (size, M), T, from unknowns to columns
     summed: FloatArray  # (summed.size,), the estimate in the columns of the sums
-    # (M, M), lower Cholesky factor of the penalized normal matrix divided by ``scale`` on both sides
-    factor: FloatArray
-    scale: FloatArray  # (M,)
-    penalty: sparse.csr_array  # (M, M), the part of the normal matrix that comes from no data
+    variant: Variant
     sum_of_squares: float  # of the residuals, (Vs)^2
     rows: float
 
@@ -86,10 +119,14 @@ class FullSolution:
         """Ohm."""
         return float(self.estimate[RESISTANCE])
 
+    @property
+    def unknowns(self) -> int:
+        """Their number M."""
+        return len(self.variant.factor.scale)
+
     def gain(self, scores: FloatArray) -> FloatArray:
         """Return the change of the unknowns (M, K) for scores (M, K), gradients of half the sum of squares."""
-        scaled = scores / self.scale[:, None]
-        return np.asarray(linalg.cho_solve((self.factor, True), scaled, check_finite=False) / self.scale[:, None])
+        return self.variant.factor.back(self.half_gain(scores))
 
     def response(self, gradient: FloatArray) -> FloatArray:
         """Return the change of the estimate (size,) for a gradient (size,) of half the sum of squares."""
@@ -97,8 +134,7 @@ class FullSolution:
 
     def half_gain(self, forms: FloatArray) -> FloatArray:
         """Return Q (M, K), Q'Q being the covariance of ``forms' x``, (M, K), for white residuals of unit variance."""
-        scaled = forms / self.scale[:, None]
-        return np.asarray(linalg.solve_triangular(self.factor, scaled, lower=True, check_finite=False))
+        return self.variant.factor.half(forms)
 
     @property
     def variance_of_resistance(self) -> float:
@@ -108,7 +144,7 @@ class FullSolution:
     @cached_property
     def white_covariance(self) -> FloatArray:
         """Covariance (M, M) of the unknowns for white residuals of unit variance."""
-        return inverse_of(self.factor, self.scale)
+        return self.variant.factor.inverse()
 
 
 class Solver:
@@ -124,6 +160,8 @@ class Solver:
         Z'z of each fold for the columns z of the effects, where the folds lack them.
     unit : float, optional
         Mean diagonal of Z'Z over the columns of a free map; default: that of the folds, if they are free.
+    known : dict, optional
+        What solvers of these folds, with other effects, share: the elimination of map and harmonics.
     """
 
     def __init__(
@@ -133,6 +171,7 @@ class Solver:
         counts: FloatArray,
         effects: FloatArray | None = None,
         unit: float | None = None,
+        known: dict[Any, Any] | None = None,
     ) -> None:
         self.model = model
         self.counts = counts
@@ -142,13 +181,12 @@ class Solver:
             total += one
         every = None if effects is None else effects.sum(axis=0)
         self.total = with_products(unpacked(total, model.summed.size), every, model)
-        self._normals: dict[ModelSpec, _Normal] = {}
-        self._reduced: dict[ModelSpec, Reduced] = {}
+        self._known: dict[ModelSpec, _Maps] = {} if known is None else known
 
     @classmethod
     def over(cls, sums: WindowSums) -> Solver:
         """Return the solver of the sums over windows, which must not change any more."""
-        return cls(sums.model, sums.triangles(), sums.counts, sums.effects, sums.unit)
+        return cls(sums.model, sums.triangles(), sums.counts, sums.effects, sums.unit, sums.known)
 
     @property
     def total_voltage(self) -> float:
@@ -157,23 +195,15 @@ class Solver:
 
     def solve(self, spec: ModelSpec, noise: sparse.csr_array | None = None) -> FullSolution:
         """Fit a variant to all folds, with the products (size, size) of additional noise if given."""
-        known, voltage = self._normal(spec), self._voltage(spec)
-        penalty = known.penalty(spec.penalty)
-        if noise is not None:
-            penalty = sparse.csr_array(penalty + known.basis.T @ noise @ known.basis)
-        factor, scale = factorize(known.normal, penalty)
-        moment = known.t.T @ times(self.total, voltage)
-        x = linalg.cho_solve((factor, True), moment / scale, check_finite=False) / scale
-        estimate = known.t @ x - voltage
+        known, voltage = self._variant(spec, noise), self._voltage(spec)
+        estimate = known.back(known.half(voltage[: self._others, None])[:, 0]) - voltage
         squares = float(estimate @ (self.total @ estimate))
         return FullSolution(
             spec=spec,
             estimate=self.model.expansion @ estimate,
-            basis=known.basis,
+            basis=sparse.csr_array(self.model.expansion @ known.t),
             summed=estimate,
-            factor=factor,
-            scale=scale,
-            penalty=penalty,
+            variant=known,
             sum_of_squares=squares,
             rows=float(self.counts.sum()),
         )
@@ -185,8 +215,8 @@ class Solver:
 
     def by_remainder(self, solution: FullSolution) -> FloatArray:
         """Return the change (size,) of the estimate by the remainder, see :mod:`drive_id.core.full.effects`."""
-        products = self._normal(solution.spec).t.T @ self.total[:, [self.model.effect("remainder").start]]
-        return np.asarray(solution.basis @ solution.gain(np.asarray(products)))[:, 0]
+        remainder = np.eye(self._others, 1, -self.model.effect("remainder").start)
+        return np.asarray(self.model.expansion @ solution.variant.back(solution.variant.half(remainder)))[:, 0]
 
     def left_out(
         self,
@@ -212,17 +242,17 @@ class Solver:
         The penalty acts on the map alone: all else is eliminated once per fold, ``S = A_mm - A_mn A_nn^-1 A_nm``, and
         ``S + lambda P`` is solved for each penalty lambda.
         """
-        known, voltage = self._normal(spec), self._voltage(spec)
-        moment = known.t.T @ times(self.total, voltage)
-        tried = [known.penalty(penalty) for penalty in penalties or (spec.penalty,)]
-        in_map = np.asarray(abs(known.t[self.model.summed.map]).sum(axis=0)).ravel() > 0
+        t, voltage = sum_basis(self.model, spec), self._voltage(spec)
+        normal, moment = congruent(t, self.total), t.T @ (self.total[:, : self._others] @ voltage[: self._others])
+        tried = [self._penalty(t, penalty) for penalty in penalties or (spec.penalty,)]
+        of_map = len(np.unique(t[self.model.summed.map].indices))
 
         def errors(number: int) -> list[float]:
             fold = self._fold(number)
-            own, product = congruent(known.t, fold), times(fold, voltage)
+            own, product = congruent(t, fold), fold[:, : self._others] @ voltage[: self._others]
             del fold
-            own_moment, square = known.t.T @ product, voltage @ product
-            estimates = penalized(known.normal - own, moment - own_moment, tried, in_map)
+            own_moment, square = t.T @ product, voltage @ product
+            estimates = penalized(normal - own, moment - own_moment, tried, of_map)
             return [
                 max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
             ]
@@ -296,25 +326,10 @@ class Solver:
 
     def reduced(self, spec: ModelSpec, without: int | None = None) -> Reduced:
         """Eliminate the unknowns of a variant, but for its effects and its delay, over all folds or without one."""
-        spec = replace(spec, effects=(), delay=0.0)
-        if without is None and spec in self._reduced:
-            return self._reduced[spec]
-        known, columns = self._normal(spec), Reduced.columns(self.model)
-        right, normal = self.total[:, columns], known.normal
-        if without is not None:
-            fold = self._fold(without)
-            right, own = right - fold[:, columns], congruent(known.t, fold)
-            del fold  # several folds are reduced at a time
-            normal = np.subtract(normal, own, out=own)
-        moment = known.t.T @ right
-        factor, scale = factorize(normal, known.penalty(spec.penalty))
-        half = linalg.solve_triangular(factor, moment / scale[:, None], lower=True, check_finite=False)
-        form = right[columns] - half.T @ half
-        back = linalg.solve_triangular(factor, half, lower=True, trans="T", check_finite=False) / scale[:, None]
-        reduced = Reduced(self.model, form, back, known.t)
-        if without is None:
-            self._reduced[spec] = reduced
-        return reduced
+        known = self._variant(replace(spec, effects=()), without=without)
+        columns = Reduced.columns(self.model)
+        half = known.half(np.eye(self._others)[:, columns])
+        return Reduced(self.model, known.maps.beside[np.ix_(columns, columns)] - half.T @ half, half, known.back)
 
     def _fold(self, number: int) -> FloatArray:
         """Return Z'Z (summed.size, summed.size) of a fold."""
@@ -323,19 +338,54 @@ class Solver:
 
     def _left(self, solution: FullSolution, columns: IntArray) -> FloatArray:
         """Return the cross products of columns after projecting out the unknowns of a solution."""
-        half = solution.half_gain(np.asarray(self._normal(solution.spec).t.T @ self.total[columns].T))
+        half = solution.variant.half(np.eye(self._others)[:, columns])
         return np.asarray(self.total[np.ix_(columns, columns)] - half.T @ half)
 
-    def _normal(self, spec: ModelSpec) -> _Normal:
-        """Return what depends on neither penalty nor delay; that of the last variant is kept."""
-        key = replace(spec, penalty=0.0, delay=0.0)
-        if key not in self._normals:
-            t = sum_basis(self.model, spec)
-            all_columns = sparse.csr_array(self.model.expansion @ t)
-            ridge, rough = (sparse.csr_array(all_columns.T @ each @ all_columns) for each in self._penalties)
-            self._normals.clear()
-            self._normals[key] = _Normal(t, all_columns, congruent(t, self.total), ridge, rough)
-        return self._normals[key]
+    @property
+    def _others(self) -> int:
+        """Number of columns that are not of the maps; these follow."""
+        return int(self.model.summed.map.start)
+
+    def _variant(self, spec: ModelSpec, noise: sparse.csr_array | None = None, without: int | None = None) -> Variant:
+        """Return a variant, factorized, with the products of additional noise, or without a fold."""
+        maps = self._eliminated(ModelSpec(spec.reciprocal, spec.orders, penalty=spec.penalty), noise, without)
+        own = own_basis(self.model, spec)
+        t = sparse.csr_array(sparse.hstack([maps.t, own]))
+        own = own[: self._others]
+        penalty = self._penalty(own, 0.0)
+        normal = np.asarray(own.T @ (own.T @ maps.beside).T)
+        factor = Factor.extended(maps.factor, np.asarray((own.T @ maps.half.T).T), normal, penalty)
+        both = sparse.csr_array(sparse.block_diag([maps.penalty, penalty]))
+        return Variant(t, own, both, factor, maps)
+
+    def _eliminated(self, spec: ModelSpec, noise: sparse.csr_array | None, without: int | None) -> _Maps:
+        """Eliminate map and harmonics; the last results of all folds are kept."""
+        plain = noise is None and without is None
+        known = self._known.get(spec) if plain else None
+        if known is not None and known.effects is self._effects:
+            return known
+        matrix, t = self.total, map_basis(self.model, spec)
+        if without is not None:
+            fold = self._fold(without)
+            matrix = np.subtract(matrix, fold, out=fold)  # several folds at a time
+        penalty = known.penalty if known else self._penalty(t, spec.penalty, noise)
+        factor, scale = known.factor if known else factorize(congruent(t, matrix), penalty)
+        products = np.asarray(t.T @ matrix[:, : self._others]) / scale[:, None]
+        half = linalg.solve_triangular(factor, products, lower=True, check_finite=False)
+        beside = matrix[: self._others, : self._others].copy()
+        maps = _Maps(t, penalty, (factor, scale), half, beside, self._effects)
+        if plain:
+            self._known[spec] = maps
+            for old in list(self._known)[:-_KEPT]:
+                del self._known[old]
+        return maps
+
+    def _penalty(self, t: sparse.csr_array, weight: float, noise: sparse.csr_array | None = None) -> sparse.csr_array:
+        """Return the penalty on unknowns behind columns of the sums, with a weight of the map's roughness."""
+        ridge, rough = self._penalties
+        columns = self.model.expansion[:, : t.shape[0]] @ t
+        total = ridge + weight * rough if noise is None else ridge + weight * rough + noise
+        return sparse.csr_array(columns.T @ total @ columns)
 
     def _voltage(self, spec: ModelSpec) -> FloatArray:
         """Return the combination (summed.size,) of columns that is the integral of the delayed voltage."""
@@ -350,21 +400,6 @@ class Solver:
         """Ridge, and roughness of the map for a weight of 1, both (size, size)."""
         ridge, both = (roughness(self.model, self.total, weight, self._unit) for weight in (0.0, 1.0))
         return ridge, sparse.csr_array(both - ridge)
-
-
-@dataclass(frozen=True, eq=False)
-class _Normal:
-    """T from the unknowns to the columns of the sums and to all columns, T'Z'ZT (M, M), and the penalties."""
-
-    t: sparse.csr_array
-    basis: sparse.csr_array
-    normal: FloatArray
-    ridge: sparse.csr_array
-    rough: sparse.csr_array
-
-    def penalty(self, weight: float) -> sparse.csr_array:
-        """Return the penalty (M, M) for a weight of the map's roughness."""
-        return sparse.csr_array(self.ridge + weight * self.rough)
 
 
 def predictable(errors: FloatArray) -> BoolArray:
@@ -383,12 +418,12 @@ class CurrentNoise:
     windows: Windows  # a subset, evenly over time, whose ends give the currents
     angle_variance: float = 0.0  # mean square error of an interpolated angle, rad^2
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Mean sample period, s."""
         return float(self.windows.period.mean())
 
-    @property
+    @cached_property
     def turn(self) -> float:
         """Electrical angle per sample, rms, rad."""
         turn = self.windows.speed.mean(axis=1) * self.windows.period
@@ -474,14 +509,14 @@ def _moved_by_noise(solution: FullSolution, products: sparse.csr_array) -> Float
     Across a ring, all that seems to be known comes from noise, and the estimate x is attenuated to nearly nothing. Of a
     direction with the share s of noise, the true value is ``x / (1 - s)``, and the corrected one ``x + x s / (1 + s)``.
     """
-    in_unknowns, largest = sparse.csr_array(solution.basis.T @ products @ solution.basis), np.ones(len(solution.scale))
+    in_unknowns, largest = sparse.csr_array(solution.basis.T @ products @ solution.basis), np.ones(solution.unknowns)
     for _ in range(_POWERS):  # where noise moves nothing so far, all shares would take seconds for nothing
         grown = solution.gain((in_unknowns @ largest)[:, None])[:, 0]
         size = float(np.linalg.norm(grown))  # of one of length 1
         largest = grown / max(size, TINY)
     if size < _BY_NOISE * _FOUND:
         return np.zeros((solution.basis.shape[0], 0))
-    inverse = solution.half_gain(np.eye(len(solution.scale)))
+    inverse = solution.half_gain(np.eye(solution.unknowns))
     share, direction = linalg.eigh(inverse @ (in_unknowns @ inverse.T), subset_by_value=(_BY_NOISE, np.inf))
     share = np.minimum(share, _MOST_BY_NOISE)
     seen = direction.T @ (inverse @ (solution.basis.T @ (products @ solution.estimate)))  # x s

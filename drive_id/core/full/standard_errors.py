@@ -55,7 +55,7 @@ def changes_by_batch(sums: WindowSums, solution: FullSolution, column: int) -> F
     for segment in kept:
         terms = np.sum(sums.model.residuals(segment, by_row) * sums.model.residuals(segment, solution.estimate), axis=1)
         changes.append(np.add.reduceat(terms, _edges(segment)[:-1]))
-    unused = max(rows - len(solution.scale), 1.0) / rows
+    unused = max(rows - solution.unknowns, 1.0) / rows
     return np.asarray(np.concatenate(changes) * np.sqrt(2 * sums.windows / rows / unused))
 
 
@@ -118,17 +118,17 @@ def _batch_scores(
     residuals = rows[..., -1]
     out = []
     for start, end in pairwise(_edges(segment)):
-        forms = rows[start:end, :, :-1].reshape(-1, len(solution.scale))
+        forms = rows[start:end, :, :-1].reshape(-1, solution.unknowns)
         met = np.flatnonzero(forms.any(axis=0))
         forms, covered = forms[:, met], covariance[np.ix_(met, met)]
-        scale, score = solution.scale[met], forms.T @ residuals[start:end].ravel()
+        scale, score = solution.variant.factor.scale[met], forms.T @ residuals[start:end].ravel()
         total = score.copy()
         for k in range(1, _SERIES):
             score = (k - 0.5) / k * (forms.T @ (forms @ (covered @ score)))
             total += score
             if np.linalg.norm(score / scale) < _CONVERGED * np.linalg.norm(total / scale):
                 break
-        all_scores = np.zeros(len(solution.scale))
+        all_scores = np.zeros(solution.unknowns)
         all_scores[met] = total
         energy, square, time = (float(x[start:end].mean()) for x in (residuals**2, expected, segment.time))
         out.append((all_scores, energy, square, time))

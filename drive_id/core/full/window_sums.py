@@ -60,6 +60,7 @@ class WindowSums:
         self._due: list[tuple[int, Windows]] = []  # folds and windows whose products are still to be formed
         self.effects: FloatArray | None = None
         """Z'z (FOLDS, size, EFFECT_COLUMNS), z being the columns of the effects; see :meth:`with_effects`."""
+        self.known: dict[Any, Any] = {}  # to solvers of these folds, with any effects
         # triangles and rows of the folds over the kept windows alone, where these are not all
         self._some: tuple[list[FloatArray], FloatArray] | None = None
         self._counts = np.zeros(FOLDS)
@@ -104,6 +105,7 @@ class WindowSums:
         """Return an independent copy; folds are shared until one of the two changes them."""
         other = copy.copy(self)
         other._cutter = self._cutter.copy()  # noqa: SLF001  # of its own class
+        other.known = {}
         other._folds, other._shared = list(self._folds), set(range(len(self._folds)))  # noqa: SLF001
         self._shared = set(other._shared)  # noqa: SLF001  # copied before the first change
         other._due = list(self._due)  # noqa: SLF001
@@ -150,6 +152,7 @@ class WindowSums:
         of what they cover, and is therefore found by iterated Tikhonov regularization.
         """
         other, model = self.copy(), self.model
+        other.known = self.known
         numbers, kept = sorted(self._kept), self.kept()
         products = np.zeros((FOLDS, model.summed.size, EFFECT_COLUMNS))
 

@@ -153,5 +153,6 @@ def smoothed(values: FloatArray, mask: BoolArray, reach: int = 5) -> FloatArray:
     """Return at each node (D, Q) the mean of the values at masked nodes within ``reach`` nodes along each axis."""
     side = 2 * reach + 1
     padded = [np.pad(np.where(mask, array, 0.0), reach) for array in (values, np.ones_like(values))]
-    sums = [np.lib.stride_tricks.sliding_window_view(array, (side, side)).sum(axis=(2, 3)) for array in padded]
+    view = np.lib.stride_tricks.sliding_window_view
+    sums = [view(view(array, side, 0).sum(axis=-1), side, 1).sum(axis=-1) for array in padded]
     return np.asarray(np.divide(sums[0], sums[1], out=np.zeros_like(sums[0]), where=sums[1] > 0))

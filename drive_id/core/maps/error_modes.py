@@ -139,8 +139,7 @@ def _sampled(changes: FloatArray, rows: BasisRows, inside: BoolArray) -> tuple[F
 
     def at(points: IntArray) -> FloatArray:
         some = number[tuple(points.T)]
-        dense = BasisRows(rows.column[some], rows.value[some]).dense(len(changes))
-        return np.asarray(dense @ changes)  # (S, 2, B)
+        return BasisRows(rows.column[some], rows.value[some]).dot(changes)  # (S, 2, B)
 
     fluxes, slopes, batches = at(chosen), [], changes.shape[1]
     for step in np.eye(2, dtype=np.int64):

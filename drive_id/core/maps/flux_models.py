@@ -32,7 +32,9 @@ class BasisRows:
     def dot(self, gamma: FloatArray) -> FloatArray:
         """Return B gamma: (N, 2) for parameters (P,), (N, 2, M) for parameters (P, M)."""
         if gamma.ndim == 1:
-            return np.asarray(np.einsum("nak,nak->na", self.value, gamma[self.column]))
+            out = np.empty(self.column.shape[:2])
+            _dot(self.column, self.value, np.ascontiguousarray(gamma), out)
+            return out
         return np.asarray((self.sparse(len(gamma)) @ gamma).reshape(*self.column.shape[:2], -1))
 
     def sparse(self, parameters: int) -> sparse.csr_array:
@@ -47,6 +49,16 @@ class BasisRows:
         n, axis = np.indices(self.column.shape)[:2]
         np.add.at(out, (n, axis, self.column), self.value)
         return out
+
+
+@compiled("const i4[:, :, ::1], const f8[:, :, ::1], const f8[::1], f8[:, ::1]")
+def _dot(column: ColumnArray, value: FloatArray, gamma: FloatArray, out: FloatArray) -> None:
+    for n in range(len(column)):
+        for axis in range(column.shape[1]):
+            total = 0.0
+            for k in range(column.shape[2]):
+                total += value[n, axis, k] * gamma[column[n, axis, k]]
+            out[n, axis] = total
 
 
 class FluxModel(ABC):

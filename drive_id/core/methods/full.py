@@ -127,7 +127,7 @@ class FullMethod:
                 rows=2 * information.windows,
                 parameters=unknowns,
                 rank=unknowns,
-                condition=float(1.0 / np.min(np.diag(fit.solution.factor))),
+                condition=float(1.0 / np.min(fit.solution.variant.factor.diagonal)),
                 residual_rms=fit.solution.residual_rms / evidence.sample_period,
             ),
             unexplained=float(fit.solution.residual_rms / np.sqrt(max(fit.total_voltage, TINY))),

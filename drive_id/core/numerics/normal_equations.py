@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg, sparse
 
 from drive_id.core.numerics.compiled import compiled
-from drive_id.types import BoolArray, FloatArray, IntArray
+from drive_id.types import FloatArray, IntArray
 
 _JITTER = 1e-13  # added to the unit diagonal, so that rounding leaves the matrix positive definite
 _TILE = 256  # rows and columns at a time, which stay in the cache
@@ -99,39 +101,21 @@ def add_triangle(block: FloatArray, columns: IntArray, triangle: FloatArray) -> 
             triangle[start + columns[other]] += block[k, other]
 
 
-def times(matrix: FloatArray, voltage: FloatArray) -> FloatArray:
-    """Return A v for a v with few non-zero entries."""
-    entries = np.flatnonzero(voltage)
-    return np.asarray(matrix[:, entries] @ voltage[entries])
-
-
 def penalized(
-    normal: FloatArray, moment: FloatArray, penalties: Sequence[sparse.csr_array], in_map: BoolArray
+    normal: FloatArray, moment: FloatArray, penalties: Sequence[sparse.csr_array], first: int
 ) -> list[FloatArray]:
-    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in the unknowns of the map.
-
-    The unknowns of the map are adjacent. ``normal`` is overwritten.
-    """
-    outer, (first, last) = np.flatnonzero(~in_map), np.flatnonzero(in_map)[[0, -1]]
-    inner = slice(first, last + 1)
-    factor, scale = factorize(selected(normal, outer, outer), penalties[0][outer][:, outer])
-
-    def halved(rows: FloatArray) -> FloatArray:
-        """Return L^-1 b for b (K, len(outer))', in the order of LAPACK, so that nothing is copied."""
-        scaled = (rows / scale).T
-        return np.asarray(linalg.solve_triangular(factor, scaled, lower=True, overwrite_b=True, check_finite=False))
-
-    across, known = halved(selected(normal, np.arange(first, last + 1), outer)), halved(moment[outer])
-    schur, reduced = normal[inner, inner], moment[inner] - across.T @ known
-    schur -= across.T @ across
-    estimates = []
+    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in so many first unknowns."""
+    inner, outer, estimates = slice(first), slice(first, None), []
+    factor, scale = factorize(normal[outer, outer], penalties[0][outer, outer])
+    half, known = (  # (K, N) in the order of LAPACK, so that nothing is copied
+        linalg.solve_triangular(factor, (rows / scale).T, lower=True, overwrite_b=True, check_finite=False)
+        for rows in (normal[inner, outer], moment[None, outer])
+    )
+    schur = normal[inner, inner] - half.T @ half
     for penalty in penalties:
-        inner_factor, inner_scale = factorize(schur, penalty[inner][:, inner])
-        x = np.empty(len(moment))
-        x[inner] = linalg.cho_solve((inner_factor, True), reduced / inner_scale, check_finite=False) / inner_scale
-        rest = known - across @ x[inner]
-        x[outer] = linalg.solve_triangular(factor, rest, lower=True, trans="T", check_finite=False) / scale
-        estimates.append(x)
+        last, own = factorize(schur, penalty[inner, inner])
+        whole = Factor(factor, half / own, last, np.append(scale, own))
+        estimates.append(np.roll(whole.back(whole.joined(known, moment[inner, None])[:, 0]), first))
     return estimates
 
 
@@ -149,18 +133,19 @@ def solved(normal: FloatArray, right: FloatArray) -> FloatArray:
     return np.asarray(linalg.cho_solve((factor, True), right / scale, check_finite=False) / scale)
 
 
-def factorize(normal: FloatArray, by: sparse.csr_array | None = None) -> tuple[FloatArray, FloatArray]:
-    """Return the lower Cholesky factor of a symmetric matrix, scaled to a unit diagonal, and the scale.
+def factorize(
+    normal: FloatArray, by: sparse.csr_array | None = None, scale: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lower Cholesky factor of a symmetric matrix, scaled, by default to a unit diagonal, and the scale.
 
     The matrix is increased by a sparse one, if given.
     """
-    diagonal = np.diag(normal) + (0.0 if by is None else by.diagonal())
-    scale = np.sqrt(np.maximum(diagonal, 1e-24 * diagonal.max()))
+    scale = _scale_of(np.diag(normal) + (0.0 if by is None else by.diagonal())) if scale is None else scale
     inverse, jitter = 1.0 / scale, _JITTER
     relative = None if by is None else sparse.csr_array(sparse.diags_array(inverse) @ by @ sparse.diags_array(inverse))
     while True:
-        scaled = normal * inverse[:, None]
-        scaled *= inverse
+        scaled = np.empty(normal.shape)
+        _equilibrate(normal, inverse, scaled)
         if relative is not None:
             increased(scaled, relative)
         scaled[np.diag_indices_from(scaled)] += jitter
@@ -172,9 +157,86 @@ def factorize(normal: FloatArray, by: sparse.csr_array | None = None) -> tuple[F
             jitter *= 100.0
 
 
-def inverse_of(factor: FloatArray, scale: FloatArray) -> FloatArray:
-    """Return the inverse (M, M) of a factorized matrix, see :func:`factorize`."""
-    out, _ = linalg.lapack.dpotri(factor, lower=True)
-    out /= scale[:, None]
-    out /= scale
-    return np.asarray(_symmetric(np.asarray(out)).T)  # in the order in which sparse matrices multiply it without a copy
+def _scale_of(diagonal: FloatArray) -> FloatArray:
+    return np.asarray(np.sqrt(np.maximum(diagonal, 1e-24 * diagonal.max(initial=0.0))))
+
+
+@compiled("f8[:, :], const f8[::1], f8[:, ::1]")
+def _equilibrate(matrix: FloatArray, by: FloatArray, out: FloatArray) -> None:
+    """Write the upper triangle of a matrix (K, K) that is multiplied by (K,) on both sides."""
+    for row in range(len(by)):
+        for column in range(row, len(by)):
+            out[row, column] = matrix[row, column] * by[row] * by[column]
+
+
+@dataclass(frozen=True, eq=False)
+class Factor:
+    """Lower Cholesky factor of a symmetric matrix (M, M) with a scaled diagonal, see :func:`factorize`, in two blocks.
+
+    Matrices with the same first block share the work for that.
+    """
+
+    first: FloatArray  # (K, K), factor of the first block
+    across: FloatArray  # (K, J), first^-1 times the block beside it
+    last: FloatArray  # (J, J)
+    scale: FloatArray  # (M,)
+
+    @classmethod
+    def extended(
+        cls, first: tuple[FloatArray, FloatArray], half: FloatArray, normal: FloatArray, by: sparse.csr_array
+    ) -> Factor:
+        """Append a block ``normal + by`` (J, J); ``half`` (K, J) is first^-1 times the scaled rows beside it."""
+        factor, scale = first
+        own = _scale_of(np.diag(normal) + by.diagonal())
+        across = half / own
+        last, _ = factorize(normal - half.T @ half, by, own)
+        return cls(factor, across, last, np.append(scale, own))
+
+    @property
+    def diagonal(self) -> FloatArray:
+        """Its diagonal (M,)."""
+        return np.append(np.diag(self.first), np.diag(self.last))
+
+    def half(self, forms: FloatArray) -> FloatArray:
+        """Return ``L^-1 b`` (M, N) for b (M, N), L being the unscaled factor."""
+        split, scaled = len(self.first), forms / self.scale[:, None]
+        top = linalg.solve_triangular(self.first, scaled[:split], lower=True, check_finite=False)
+        return self.joined(top, forms[split:])
+
+    def joined(self, top: FloatArray, forms: FloatArray) -> FloatArray:
+        """Return ``L^-1 b`` (M, N) from the first rows of it (K, N), and the last ones of b (J, N)."""
+        rest = forms / self.scale[len(top) :, None] - self.across.T @ top
+        return np.append(top, linalg.solve_triangular(self.last, rest, lower=True, check_finite=False), axis=0)
+
+    def back(self, half: FloatArray) -> FloatArray:
+        """Return ``L'^-1 b`` (M, ...) for b (M, ...)."""
+        split = len(self.first)
+        bottom = linalg.solve_triangular(self.last, half[split:], lower=True, trans="T", check_finite=False)
+        rest = half[:split] - self.across @ bottom
+        top = linalg.solve_triangular(self.first, rest, lower=True, trans="T", check_finite=False)
+        return np.asarray((np.append(top, bottom, axis=0).T / self.scale).T)
+
+    def inverse(self) -> FloatArray:
+        """Return the inverse (M, M) of the matrix."""
+        split = len(self.first)
+        whole = np.empty((len(self.scale),) * 2, order="F")
+        whole[:split, :split], whole[split:, :split], whole[split:, split:] = self.first, self.across.T, self.last
+        out, _ = linalg.lapack.dpotri(whole, lower=True, overwrite_c=True)
+        out /= self.scale[:, None]
+        out /= self.scale
+        return np.asarray(_symmetric(np.asarray(out)).T)  # in the order in which sparse matrices multiply it, uncopied
+
+
+@compiled("const i4[::1], const i4[::1], const f8[::1], const f8[:, ::1]")
+def quadratic_forms(
+    first: NDArray[np.int32], column: NDArray[np.int32], value: FloatArray, matrix: FloatArray
+) -> FloatArray:
+    """Return ``f' A f`` (N,) of the rows f of a sparse matrix (N, K), given as in ``csr_array``, with a symmetric A."""
+    out = np.zeros(len(first) - 1)
+    for n in range(len(out)):
+        for one in range(first[n], first[n + 1]):
+            row, total = matrix[column[one]], 0.5 * matrix[column[one], column[one]] * value[one]
+            for other in range(first[n], one):
+                total += row[column[other]] * value[other]
+            out[n] += 2.0 * value[one] * total
+    return out

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.accumulation.excerpts import shortened
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import one_blas_thread
@@ -30,7 +31,7 @@ def identify(
     with one_blas_thread():
         evidence = gather(recordings, settings, tell)
         tell("Solving", None)
-        return conclude(evidence, recordings)
+        return conclude(evidence, [shortened(samples) for samples in recordings])
 
 
 def gather(recordings: Sequence[Samples], settings: FitSettings, tell: Progress = silent) -> Evidence:

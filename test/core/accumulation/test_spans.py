@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from synthetic import cut
 
-from drive_id.core.accumulation.excerpts import Spans
+from drive_id.core.accumulation.excerpts import SPAN, SPANS, Spans, shortened
 from drive_id.core.signals.join import Piece
 from drive_id.types import Samples
 
@@ -65,3 +65,12 @@ def test_the_kept_parts_are_copies():
     spans = Spans(50, 4)
     spans.add(Piece(samples, False))
     assert not np.shares_memory(spans.samples()[0].i_abc, samples.i_abc)
+
+
+def test_of_a_long_recording_in_memory_those_parts_are_simulated_that_are_kept_of_a_bag():
+    long, spans = counted(SPAN * SPANS + 1, []), Spans()
+    for start in range(0, len(long), 50_000):
+        spans.add(Piece(*cut(long, start, min(start + 50_000, len(long)))))
+    np.testing.assert_array_equal(shortened(long).angle, spans.samples()[0].angle)
+    assert len(shortened(long)) < len(long)
+    assert shortened(short := long.part(0, SPAN * SPANS)) is short

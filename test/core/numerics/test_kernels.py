@@ -85,10 +85,26 @@ def test_a_congruent_matrix_by_selection_and_by_products(weight):
     np.testing.assert_allclose(normal_equations.congruent(whole, half + half.T), expected, rtol=1e-12, atol=1e-12)
 
 
-def test_the_inverse_comes_from_the_factor():
+def test_a_factor_of_two_blocks_is_that_of_the_whole():
     rng = np.random.default_rng(7)
-    root = rng.standard_normal((40, 9))
-    penalty = sparse.csr_array(sparse.diags_array(rng.random(9)))
-    whole = root.T @ root + penalty.toarray()
-    inverse = normal_equations.inverse_of(*normal_equations.factorize(root.T @ root, penalty))
-    np.testing.assert_allclose(inverse, np.linalg.inv(whole), rtol=1e-9)
+    root, right = rng.standard_normal((40, 9)), rng.standard_normal((9, 3))
+    normal, penalty = root.T @ root, sparse.csr_array(sparse.diags_array(rng.random(9)))
+    whole, split = normal + penalty.toarray(), 6
+    first, scale = normal_equations.factorize(normal[:split, :split], penalty[:split, :split])
+    half = np.linalg.solve(first, normal[:split, split:] / scale[:, None])
+    factor = normal_equations.Factor.extended(
+        (first, scale), half, normal[split:, split:], sparse.csr_array(penalty[split:, split:])
+    )
+    np.testing.assert_allclose(factor.inverse(), np.linalg.inv(whole), rtol=1e-9)
+    np.testing.assert_allclose(factor.back(factor.half(right)), np.linalg.solve(whole, right), rtol=1e-9)
+    np.testing.assert_allclose(factor.half(right).T @ factor.half(right), right.T @ np.linalg.solve(whole, right))
+    scaled = whole / factor.scale / factor.scale[:, None]
+    np.testing.assert_allclose(factor.diagonal, np.diag(np.linalg.cholesky(scaled)), rtol=1e-9)
+
+
+def test_quadratic_forms_of_sparse_rows_are_those_of_dense_ones():
+    rng = np.random.default_rng(4)
+    root, rows = rng.standard_normal((9, 9)), sparse.random_array((30, 9), density=0.4, rng=rng, format="csr")
+    given = rows.indptr.astype(np.int32), rows.indices.astype(np.int32), rows.data
+    expected = np.einsum("nk,kl,nl->n", rows.toarray(), root + root.T, rows.toarray())
+    np.testing.assert_allclose(normal_equations.quadratic_forms(*given, root + root.T), expected, atol=1e-12)

@@ -13,7 +13,7 @@ from drive_id.analysis.bands import BY_SPEED, ModelErrors, combined
 from drive_id.analysis.iron_loss import IronLoss
 from drive_id.analysis.surfaces import Surfaces
 from drive_id.core.maps.continuation import LongerGrid, continued
-from drive_id.core.result.identification import FluxMap
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.quantity import counted, measured
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
@@ -135,17 +135,15 @@ class MachineModel:
                 f"{_FEWEST} are needed; record "
                 "more of the current disc."
             )
-        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, max(_MARGIN * result.i_max, reach))
-        psi_d, psi_q = longer.flux(found.psi_d, 0), longer.flux(found.psi_q, 1)
-        sigmas = np.full((2, *longer.known.shape), np.nan)
-        sigmas[:, longer.places[0], longer.places[1]] = found.sigma_d, found.sigma_q
-        coefficient = result.drive.magnet_coefficient
+        longer = LongerGrid.around(found, max(_MARGIN * result.i_max, reach))
+        flux_map, coefficient = longer.flux_map(), result.drive.magnet_coefficient
         if magnet is not None and coefficient is not None:
-            psi_d = psi_d + coefficient[0] * (magnet - REFERENCE_TEMPERATURE)
+            warmed = flux_map.psi_d + coefficient[0] * (magnet - REFERENCE_TEMPERATURE)
+            flux_map = replace(flux_map, psi_d=warmed)
         factor = 1.0 if temperature is None else 1 + COPPER * (temperature - REFERENCE_TEMPERATURE)
         warmer = 0.0 if magnet is None else magnet - REFERENCE_TEMPERATURE
         return cls(
-            flux_map=FluxMap(longer.i_d, longer.i_q, psi_d, psi_q, sigmas[0], sigmas[1], longer.known),
+            flux_map=flux_map,
             own=Surfaces.over(found.i_d, found.i_q, found.psi_d, found.psi_q),
             i_max=result.i_max,
             resistance=result.resistance * factor,

@@ -14,7 +14,7 @@ import numpy as np
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.surfaces import Surfaces
 from drive_id.core.maps.continuation import LongerGrid
-from drive_id.core.result.identification import FluxMap, HarmonicMap
+from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
 from drive_id.types import FloatArray
 
 _NODES = 12  # of Gauss-Legendre's rule from zero current to each point
@@ -33,7 +33,7 @@ class TorqueRipple:
     @classmethod
     def of(cls, model: MachineModel, found: FluxMap, harmonics: tuple[HarmonicMap, ...], reach: float) -> TorqueRipple:
         """Build it from the harmonics on the grid of a map, continued to ``reach`` (A) with vanishing slopes."""
-        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, reach)
+        longer = LongerGrid.around(found, reach)
 
         def surfaces(d: FloatArray, q: FloatArray) -> Surfaces:
             whole = longer.whole(np.stack([d, q]))

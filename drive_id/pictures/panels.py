@@ -17,7 +17,7 @@ from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from drive_id.core.result.identification import FluxMap
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.quantity import scaled_unit
 from drive_id.types import BoolArray, FloatArray, IntArray
 

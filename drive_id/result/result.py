@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.headline import headline
-from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results
 from drive_id.messages import Message
@@ -30,8 +31,9 @@ if TYPE_CHECKING:
 
     from drive_id.core.accumulation.evidence import Evidence
     from drive_id.core.full.effects.effect import Calibration
+    from drive_id.core.maps.flux_map import HarmonicMap
     from drive_id.core.result.diagnostics import Diagnostics
-    from drive_id.core.result.identification import HarmonicMap, LinearMachine, Mechanics, TorqueFit
+    from drive_id.core.result.identification import LinearMachine, Mechanics, TorqueFit
 
 _MARGIN = 1.25
 """Reach of a machine map, in i_max: a simulated current overshoots its reference."""
@@ -347,9 +349,9 @@ class Result:
         from drive_id.core.maps.continuation import LongerGrid  # noqa: PLC0415  # a fit needs no scipy
 
         found = self.enclosed.flux_map
-        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * self.i_max)
-        whole = longer.whole
-        psi_d, psi_q = longer.flux(found.psi_d, 0), longer.flux(found.psi_q, 1)
+        longer = LongerGrid.around(found, _MARGIN * self.i_max)
+        whole, continued = longer.whole, longer.flux_map()
+        psi_d, psi_q = continued.psi_d, continued.psi_q
         theta, ripple_d, ripple_q = None, None, None
         if self.harmonics:
             theta = _angles([harmonic.order for harmonic in self.harmonics])

@@ -18,7 +18,7 @@ from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.cli import app as cli
-from drive_id.core.result.identification import HarmonicMap
+from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.errors import ConfigurationError, DataError, OutputError, ResultError
 
 SMALL = drive_id.AnalysisSettings(current_points=5, torque_points=2, speed_points=4)

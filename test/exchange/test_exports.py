@@ -15,7 +15,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.io import loadmat, netcdf_file
 from steady_state import disc_points
 
-from drive_id.core.result.identification import HarmonicMap
+from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.errors import ConfigurationError, CoverageError, OutputError
 from drive_id.exchange.exports.exporting import content_of, export_map
 from drive_id.exchange.exports.formats import EXPORTS, ExportFormat, export_format

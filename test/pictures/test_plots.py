@@ -18,7 +18,7 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 
 from drive_id.core.full.effects.effect import Calibration
-from drive_id.core.result.identification import HarmonicMap
+from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.errors import ConfigurationError
 from drive_id.messages import Message
 from drive_id.pictures.caption import Caption

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drive_id.core.full.effects.effect import Calibration
-from drive_id.core.result.identification import HarmonicMap
+from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.messages import Message
 
 

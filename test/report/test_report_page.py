@@ -17,7 +17,7 @@ from result_folder import forget_digests
 import drive_id
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.effects.effect import Calibration
-from drive_id.core.result.identification import FluxMap
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.errors import ConfigurationError, OutputError, ResultError
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.types import BoolArray, FloatArray
 
 REACH = 6.0
@@ -57,20 +58,22 @@ def continued(
 class LongerGrid:
     """A grid that contains that of a map and reaches farther."""
 
+    found: FluxMap
     i_d: FloatArray  # (D,), A
     i_q: FloatArray  # (Q,), A
     known: BoolArray  # (D, Q), where the map has data
     places: tuple[slice, slice]  # where its own grid lies
 
     @classmethod
-    def around(cls, i_d: FloatArray, i_q: FloatArray, inside: BoolArray, reach: float) -> LongerGrid:
-        """Add points of the same mean step until both axes cover -reach to reach, A."""
-        longer = [_reaching(axis, reach) for axis in (i_d, i_q)]
-        starts = [int(np.searchsorted(axis, own[0])) for axis, own in zip(longer, (i_d, i_q), strict=True)]
-        places = (slice(starts[0], starts[0] + len(i_d)), slice(starts[1], starts[1] + len(i_q)))
+    def around(cls, found: FluxMap, reach: float = 0.0) -> LongerGrid:
+        """Add points of the same mean step until both axes of a map cover -reach to reach, A."""
+        own = found.i_d, found.i_q
+        longer = [_reaching(axis, reach) for axis in own]
+        starts = [int(np.searchsorted(axis, part[0])) for axis, part in zip(longer, own, strict=True)]
+        places = slice(starts[0], starts[0] + len(own[0])), slice(starts[1], starts[1] + len(own[1]))
         known = np.zeros((len(longer[0]), len(longer[1])), np.bool_)
-        known[places] = inside
-        return cls(longer[0], longer[1], known, places)
+        known[places] = found.inside
+        return cls(found, longer[0], longer[1], known, places)
 
     def whole(self, values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
         """Return values (..., d, q) on the own grid, continued to this one (..., D, Q), see :func:`continued`."""
@@ -78,18 +81,13 @@ class LongerGrid:
         placed[..., self.places[0], self.places[1]] = values
         return continued(placed, self.known, (self.i_d, self.i_q), slopes)
 
-    def flux(self, psi: FloatArray, axis: int) -> FloatArray:
-        """Return psi_d (axis 0) or psi_q (axis 1) likewise, Wb, with its typical slope along its own current."""
-        current = (self.i_d, self.i_q)[axis][self.places[axis]]
-        slope = _typical_slope(psi, current, self.known[self.places], axis)
-        return self.whole(psi, (0.0, slope) if axis else (slope, 0.0))
-
-
-def _typical_slope(psi: FloatArray, current: FloatArray, inside: BoolArray, axis: int) -> float:
-    """Return the median slope of a flux (D, Q), Wb, along an axis with currents, A, where there are data, H."""
-    both = np.take(inside, range(1, len(current)), axis) & np.take(inside, range(len(current) - 1), axis)
-    steps = np.diff(current)[:, None] if axis == 0 else np.diff(current)
-    return float(np.median((np.diff(psi, axis=axis) / steps)[both]))
+    def flux_map(self) -> FluxMap:
+        """Return the map likewise, each flux with its typical slope along its own current; NaN for other errors."""
+        found, (l_d, l_q) = self.found, self.found.typical_inductances
+        sigmas = np.full((2, *self.known.shape), np.nan)
+        sigmas[:, self.places[0], self.places[1]] = found.sigma_d, found.sigma_q
+        psi_d, psi_q = self.whole(found.psi_d, (l_d, 0.0)), self.whole(found.psi_q, (0.0, l_q))
+        return FluxMap(self.i_d, self.i_q, psi_d, psi_q, sigmas[0], sigmas[1], self.known)
 
 
 def _reaching(axis: FloatArray, reach: float) -> FloatArray:

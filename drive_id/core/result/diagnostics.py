@@ -114,7 +114,7 @@ def drive_residual(drive: IdentifiedDrive, excerpts: Sequence[Samples]) -> Resid
     curve = (drive.inverter_current, drive.inverter_voltage if drop is None else drop)
 
     def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
-        return drive.flux(i_dq) + drive.flux_map.ripple(drive.harmonics, i_dq, angle)
+        return drive.flux_map.continued(i_dq) + drive.flux_map.ripple(drive.harmonics, i_dq, angle)
 
     found, start = [], 0.0
     for part in drive.corrected(excerpts):

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.origins import ORIGINS
 from drive_id.quantity import measured
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import radius_warnings
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.methods.method import Estimate, Limits
-from drive_id.core.result.identification import FluxMap
 from drive_id.messages import Message
 from drive_id.types import FloatArray
 
@@ -33,7 +33,6 @@ def review(
     evidence: Evidence,
     coverage: float,
     estimate: Estimate,
-    flux_map: FluxMap,
     mad: tuple[float, float],
     limits: Limits,
 ) -> tuple[Message, ...]:
@@ -47,15 +46,13 @@ def review(
         *radius_warnings(evidence, coverage),
         *_on_fit(estimate, limits),
         *_on_decimation(evidence, estimate),
-        *_on_map(evidence, estimate, flux_map, limits),
+        *_on_map(evidence, estimate, limits),
         *estimate.warnings,
         *_on_simulation(evidence, mad, limits),
     )
 
 
-def condemned(
-    evidence: Evidence, estimate: Estimate, flux_map: FluxMap, mad: tuple[float, float], limits: Limits
-) -> Message | None:
+def condemned(evidence: Evidence, estimate: Estimate, mad: tuple[float, float], limits: Limits) -> Message | None:
     """Return why no machine can have this result, or None."""
     if not limits.impossible:
         return None
@@ -66,7 +63,7 @@ def condemned(
     off = (c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations)
     if told and any(off):
         return because(evidence, "impossible_angle")
-    i_dq = _with_data(evidence, flux_map)
+    i_dq = _with_data(evidence, estimate.flux_map)
     if not len(i_dq):
         return None
     share = float((~estimate.positive_definite(i_dq)).mean())
@@ -110,7 +107,8 @@ def _on_decimation(evidence: Evidence, estimate: Estimate) -> Iterator[Message]:
         yield Message("decimated.fit", delay=delay, early=-delay, turn=evidence.turn)
 
 
-def _on_map(evidence: Evidence, estimate: Estimate, flux_map: FluxMap, limits: Limits) -> Iterator[Message]:
+def _on_map(evidence: Evidence, estimate: Estimate, limits: Limits) -> Iterator[Message]:
+    flux_map = estimate.flux_map
     i_dq = _with_data(evidence, flux_map)
     if not len(i_dq):
         return

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import griddata
 
 from drive_id.core.maps.continuation import continued
+from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
 from drive_id.core.maps.monotone import fit_monotone
-from drive_id.core.result.identification import FluxMap, HarmonicMap
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.types import BoolArray, FloatArray, IntArray

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.methods.parameters import FitReport
-from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import converted
 from drive_id.exchange.imports.formats import IMPORTS, format_of

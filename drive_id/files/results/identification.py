@@ -20,17 +20,10 @@ import numpy as np
 
 from drive_id.core.fit_settings import MOST_POLE_PAIRS, FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
+from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.result.diagnostics import Diagnostics
-from drive_id.core.result.identification import (
-    Cogging,
-    FluxMap,
-    HarmonicMap,
-    IdentifiedDrive,
-    LinearMachine,
-    Mechanics,
-    TorqueFit,
-)
+from drive_id.core.result.identification import Cogging, IdentifiedDrive, LinearMachine, Mechanics, TorqueFit
 from drive_id.errors import DriveIdError, ResultError
 from drive_id.files.inputs.archive import DAMAGED, damage, npz_bytes, read_arrays
 from drive_id.files.inputs.input_file import read_input, read_text_input

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import to_hex
 
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.headline import slopes
-from drive_id.core.result.identification import FluxMap
 from drive_id.pictures.panels import COLOURS
 from drive_id.quantity import plain, scaled_unit
 from drive_id.reporting.page.content import map_difference

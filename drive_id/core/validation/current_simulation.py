@@ -123,15 +123,14 @@ def flux_table(flux_map: FluxMap, harmonics: Sequence[HarmonicMap]) -> tuple[Flo
         Coefficients of t^0 s^0, t^0 s^1, ... t^3 s^3 in each cell, row-major in d and q: psi_d, then psi_q, Wb. Those
         of f_0 come before those of a_h and b_h of each harmonic.
     """
-    ends = (axis[[0, -1]] for axis in (flux_map.i_d, flux_map.i_q))
-    counts = [min(axis.size, _MOST_KNOTS) for axis in (flux_map.i_d, flux_map.i_q)]
-    d, q = (np.linspace(*end, count) for end, count in zip(ends, counts, strict=True))
+    own = flux_map.i_d, flux_map.i_q
+    d, q = (np.linspace(axis[0], axis[-1], min(len(axis), _MOST_KNOTS)) for axis in own)
     axes = [[x[0], x[1] - x[0], len(x) - 1, own] for x, own in zip((d, q), flux_map.typical_inductances, strict=True)]
     parts = [flux_map.psi_d, flux_map.psi_q]
     for h in harmonics:
         parts += [h.psi_d_cos, h.psi_q_cos, h.psi_d_sin, h.psi_q_sin]
     values = [flux_map.sampled(part, *np.meshgrid(d, q, indexing="ij")) for part in parts]
-    of_d, of_q = map(_coefficients, counts)
+    of_d, of_q = _coefficients(len(d)), _coefficients(len(q))
     coefficients = (of_d @ np.array(values) @ of_q.T).reshape(-1, 2, len(of_d), len(of_q))
     windows = np.lib.stride_tricks.sliding_window_view(coefficients, (4, 4), axis=(2, 3))
     table = np.einsum("ai,pfxyij,bj->xypfab", _POWERS, windows, _POWERS)

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dense_oracle import bases
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -71,11 +70,6 @@ def test_a_polynomial_of_first_degree_is_the_linear_machine():
     i_dq = np.array([[10.0, -4.0]])
     rows = model.rows(i_dq).dense(model.parameters)[0]
     np.testing.assert_array_equal(rows, [[1, -4, 10, 0, 0, 0], [0, 0, 0, 1, -4, 10]])
-
-
-def test_collocation_is_the_basis():
-    axis, points = Axis(-3.0, 5.0, 9), np.linspace(-3.0, 5.0, 9)
-    np.testing.assert_allclose(axis.collocation(points), bases(points, -3.0, 5.0, 9), atol=1e-14)
 
 
 @pytest.mark.parametrize(

@@ -168,7 +168,7 @@ class Result:
     @property
     def harmonics(self) -> tuple[HarmonicMap, ...]:
         """Rotor-position harmonics of the flux linkages; method ``full``."""
-        return self.drive.harmonics
+        return self.drive.flux_map.harmonics
 
     @property
     def calibrations(self) -> tuple[Calibration, ...]:
@@ -348,18 +348,16 @@ class Result:
             )
         from drive_id.core.maps.continuation import LongerGrid  # noqa: PLC0415  # a fit needs no scipy
 
-        found = self.enclosed.flux_map
-        longer = LongerGrid.around(found, _MARGIN * self.i_max)
-        whole, continued = longer.whole, longer.flux_map()
-        psi_d, psi_q = continued.psi_d, continued.psi_q
+        longer = LongerGrid.around(self.enclosed.flux_map, _MARGIN * self.i_max).flux_map()
+        psi_d, psi_q = longer.psi_d, longer.psi_q
         theta, ripple_d, ripple_q = None, None, None
         if self.harmonics:
             theta = _angles([harmonic.order for harmonic in self.harmonics])
             ripple_d, ripple_q = (np.repeat(psi[..., None], len(theta), -1) for psi in (psi_d, psi_q))
-            for h in self.harmonics:
+            for h in longer.harmonics:
                 cosine, sine = np.cos(h.order * theta), np.sin(h.order * theta)
-                ripple_d += whole(h.psi_d_cos)[..., None] * cosine + whole(h.psi_d_sin)[..., None] * sine
-                ripple_q += whole(h.psi_q_cos)[..., None] * cosine + whole(h.psi_q_sin)[..., None] * sine
+                ripple_d += h.psi_d_cos[..., None] * cosine + h.psi_d_sin[..., None] * sine
+                ripple_q += h.psi_q_cos[..., None] * cosine + h.psi_q_sin[..., None] * sine
         enough = math.sqrt(3) * float(np.hypot(psi_d, psi_q).max()) * _ENOUGH_SPEED * math.pi / 30 * pairs
         return MachineMap(
             name=self.machine or "identified",

@@ -149,9 +149,9 @@ def test_the_tables_keep_the_limits_and_give_their_torque(folder):
     assert (found["inside"] == 1).all()
 
 
-def test_the_ripple_is_that_of_the_co_energy(analysis, result):
+def test_the_ripple_is_that_of_the_co_energy(analysis):
     theta = np.linspace(0, 2 * np.pi, 720, endpoint=False)
-    ripple = TorqueRipple.of(analysis.model, result.flux_map, result.harmonics, 45.0)
+    ripple = TorqueRipple.of(analysis.model)
     for i_d, i_q in ((-12.0, 25.0), (9.0, -17.0), (-30.0, -5.0)):
         step = 1e-5
         change = [

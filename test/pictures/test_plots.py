@@ -413,7 +413,9 @@ def test_the_residual_shows_the_harmonics_that_joint_lacks(diagnostics, drive, e
     assert np.all(rms >= np.abs(mean))
     amplitude = 1e-3
     wave = HarmonicMap(6, *(np.full_like(drive.flux_map.psi_d, value) for value in (amplitude, 0.0, 0.0, 0.0)))
-    _, other, _ = curves(draw_diagnostics(replace(drive, harmonics=(wave,)), excerpts))
+    _, other, _ = curves(
+        draw_diagnostics(replace(drive, flux_map=replace(drive.flux_map, harmonics=(wave,))), excerpts)
+    )
     speed = excerpts[0].speed.mean()
     np.testing.assert_allclose((mean - other)[:, 0], -6 * speed * amplitude * np.sin(6 * angle), atol=0.03)
     np.testing.assert_allclose((mean - other)[:, 1], speed * amplitude * np.cos(6 * angle), atol=0.03)

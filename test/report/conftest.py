@@ -22,7 +22,7 @@ def full_like(fitted):
     more = replace(
         drive,
         method="full",
-        harmonics=(HarmonicMap(6, *parts),),
+        flux_map=replace(drive.flux_map, harmonics=(HarmonicMap(6, *parts),)),
         calibrations=(
             Calibration(
                 "resolver_offset",

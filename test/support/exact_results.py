@@ -12,17 +12,18 @@ from drive_id.files.results.identification import Provenance
 from drive_id.fitting.result import Identification
 
 
-def exact_map(i_d, i_q, psi, sigma=np.nan):
+def exact_map(i_d, i_q, psi, sigma=np.nan, harmonics=()):
     """Return the map of fluxes (D, Q, 2), Wb, with data everywhere."""
-    return FluxMap.of(i_d, i_q, psi, np.full(psi.shape, sigma), np.ones(psi.shape[:2], np.bool_))
+    return FluxMap.of(i_d, i_q, psi, np.full(psi.shape, sigma), np.ones(psi.shape[:2], np.bool_), harmonics)
 
 
 def exact_result(machine, *, sigma=np.nan, drop=None, **changes):
     """Return the result of a MachineMap, with a standard error of the fluxes, Wb, and a drop of each phase.
 
-    Further keywords replace fields of the identified drive.
+    Further keywords replace fields of the identified drive, or the harmonics of its map.
     """
-    flux_map = exact_map(machine.i_d, machine.i_q, np.stack([machine.psi_d, machine.psi_q], axis=-1), sigma)
+    psi = np.stack([machine.psi_d, machine.psi_q], axis=-1)
+    flux_map = exact_map(machine.i_d, machine.i_q, psi, sigma, changes.pop("harmonics", ()))
     current = np.linspace(-machine.i_max, machine.i_max, 201)
     fields = {
         "method": "full",

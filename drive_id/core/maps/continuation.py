@@ -9,7 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
 from drive_id.types import BoolArray, FloatArray
 
 REACH = 6.0
@@ -82,12 +82,16 @@ class LongerGrid:
         return continued(placed, self.known, (self.i_d, self.i_q), slopes)
 
     def flux_map(self) -> FluxMap:
-        """Return the map likewise, each flux with its typical slope along its own current; NaN for other errors."""
+        """Return the map likewise, each flux with its typical slope along its own current; further errors are NaN."""
         found, (l_d, l_q) = self.found, self.found.typical_inductances
-        sigmas = np.full((2, *self.known.shape), np.nan)
-        sigmas[:, self.places[0], self.places[1]] = found.sigma_d, found.sigma_q
-        psi_d, psi_q = self.whole(found.psi_d, (l_d, 0.0)), self.whole(found.psi_q, (0.0, l_q))
-        return FluxMap(self.i_d, self.i_q, psi_d, psi_q, sigmas[0], sigmas[1], self.known)
+        sigma = np.full((*self.known.shape, 2), np.nan)
+        sigma[self.places] = found.sigmas
+        psi = np.stack([self.whole(found.psi_d, (l_d, 0.0)), self.whole(found.psi_q, (0.0, l_q))], axis=-1)
+        waves = tuple(
+            HarmonicMap(h.order, *self.whole(np.stack([h.psi_d_cos, h.psi_d_sin, h.psi_q_cos, h.psi_q_sin])))
+            for h in found.harmonics
+        )
+        return FluxMap.of(self.i_d, self.i_q, psi, sigma, self.known, waves)
 
 
 def _reaching(axis: FloatArray, reach: float) -> FloatArray:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -41,6 +40,8 @@ class FluxMap:
     enclosed : (D, Q) bool, optional
         Where samples only enclose the current, and the joint errors of a fit tell how well the continuation is known:
         there, ``sigma_d`` and ``sigma_q`` hold its standard errors, and all that is asked of the map is answered.
+    harmonics : tuple of HarmonicMap
+        Of the rotor position, on the same grid.
     """
 
     i_d: FloatArray
@@ -51,11 +52,21 @@ class FluxMap:
     sigma_q: FloatArray
     inside: BoolArray
     enclosed: BoolArray | None = None
+    harmonics: tuple[HarmonicMap, ...] = field(default=(), kw_only=True)
 
     @classmethod
-    def of(cls, i_d: FloatArray, i_q: FloatArray, psi: FloatArray, sigma: FloatArray, inside: BoolArray) -> FluxMap:
+    def of(
+        cls,
+        i_d: FloatArray,
+        i_q: FloatArray,
+        psi: FloatArray,
+        sigma: FloatArray,
+        inside: BoolArray,
+        harmonics: tuple[HarmonicMap, ...] = (),
+    ) -> FluxMap:
         """Return the map of fluxes and standard errors (D, Q, 2), Wb, on a grid."""
-        return cls(i_d, i_q, psi[..., 0], psi[..., 1], sigma[..., 0], sigma[..., 1], inside)
+        (psi_d, psi_q), (sigma_d, sigma_q) = (np.moveaxis(values, -1, 0) for values in (psi, sigma))
+        return cls(i_d, i_q, psi_d, psi_q, sigma_d, sigma_q, inside, harmonics=harmonics)
 
     def __repr__(self) -> str:
         d, q = (f"{axis[0]:.4g} to {axis[-1]:.4g} A" for axis in (self.i_d, self.i_q))
@@ -164,10 +175,10 @@ class FluxMap:
         """Interpolate values (D, Q) on this grid bilinearly at currents (...); beyond the axes, that at their end."""
         return self._held(i_d, i_q).mean(values)
 
-    def ripple(self, harmonics: Sequence[HarmonicMap], i_dq: FloatArray, angle: FloatArray) -> FloatArray:
-        """Return the flux (..., 2), Wb, of harmonics on this grid at currents (..., 2), A, and angles (...), rad."""
-        psi, (d, q) = np.zeros(i_dq.shape), np.moveaxis(i_dq, -1, 0)
-        for h in harmonics:
+    def flux(self, i_dq: FloatArray, angle: FloatArray) -> FloatArray:
+        """Return what :meth:`continued` does, with the harmonics at angles (...), rad."""
+        psi, (d, q) = self.continued(i_dq), np.moveaxis(i_dq, -1, 0)
+        for h in self.harmonics:
             cosine, sine = np.cos(h.order * angle), np.sin(h.order * angle)
             psi[..., 0] += self.sampled(h.psi_d_cos, d, q) * cosine + self.sampled(h.psi_d_sin, d, q) * sine
             psi[..., 1] += self.sampled(h.psi_q_cos, d, q) * cosine + self.sampled(h.psi_q_sin, d, q) * sine

@@ -112,7 +112,14 @@ class FullMethod:
             sigma_voltage_error=float(deviation[-1]),
             inverter_current=current,
             inverter_voltage=drops.mean(axis=1),
-            flux_map=FluxMap.of(evidence.visits.i_d, evidence.visits.i_q, psi, sigma, inside),
+            flux_map=FluxMap.of(
+                evidence.visits.i_d,
+                evidence.visits.i_q,
+                psi,
+                sigma,
+                inside,
+                tuple(HarmonicMap.of(order, *frame.harmonic(order, grid)) for order in fit.spec.orders),
+            ),
             drop=(current, drops.mean(axis=1)),
             effects=_effect_voltages(evidence, fit),
             positive_definite=fit.passive,
@@ -129,7 +136,6 @@ class FullMethod:
             warnings=warnings,
             sigma_inverter_voltage=deviation,
             phase_voltages=drops if fit.spec.per_phase else None,
-            harmonics=tuple(HarmonicMap.of(order, *frame.harmonic(order, grid)) for order in fit.spec.orders),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
             statements=(

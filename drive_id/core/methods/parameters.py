@@ -14,7 +14,7 @@ from drive_id.types import FloatArray, Samples
 if TYPE_CHECKING:  # a stored result is read without scipy
     from drive_id.core.full.effects.effect import Calibration
     from drive_id.core.maps.error_modes import ErrorModes
-    from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
+    from drive_id.core.maps.flux_map import FluxMap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,6 @@ class Parameters:
     inverter_current: FloatArray  # (C,), A
     inverter_voltage: FloatArray  # (C,), drop of one phase at these currents, V
     flux_map: FluxMap
-    harmonics: tuple[HarmonicMap, ...] = ()  # of the rotor position; method full
     sigma_inverter_voltage: FloatArray | None = None  # (C,), V, where it was estimated for each current
     phase_voltages: FloatArray | None = None  # (C, 3), drop of each phase, V, when each has a curve of its own
     calibrations: tuple[Calibration, ...] = ()  # sensor faults and effects of the drive

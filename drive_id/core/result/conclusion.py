@@ -112,10 +112,7 @@ def _mad(
     if estimate.effects is not None:
         voltages, complete = estimate.effects(validation)
         pieces = [replace(piece, u_abc=piece.u_abc - taken) for piece, taken in zip(pieces, voltages, strict=True)]
-    simulated = [
-        simulate_current(piece, estimate.flux_map, estimate.harmonics, estimate.resistance, estimate.drop)
-        for piece in pieces
-    ]
+    simulated = [simulate_current(piece, estimate.flux_map, estimate.resistance, estimate.drop) for piece in pieces]
     measured = [frames.to_dq(piece.i_abc, piece.angle) for piece in pieces]
     mad = mean_absolute_deviation(np.concatenate(simulated), np.concatenate(measured))
     return mad, complete, simulated_current(pieces, simulated, measured)

@@ -86,7 +86,7 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
         sigma_voltage_error=sigma_error,
         inverter_current=current,
         inverter_voltage=drop,
-        flux_map=FluxMap(axis, axis, psi[..., 0], psi[..., 1], sigma[..., 0], sigma[..., 1], inside),
+        flux_map=FluxMap.of(axis, axis, psi, sigma, inside),
         report=report,
         sigma_inverter_voltage=sigma_drop,
         calibrations=_calibrations(fit),

@@ -12,12 +12,11 @@ so that Runge-Kutta's rule integrates only the small, slow loss; i follows from 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import numpy as np
 
 from drive_id.core import frames
-from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.numerics import bspline
 from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.threads import one_blas_thread
@@ -48,7 +47,6 @@ _POWERS = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0
 def simulate_current(
     samples: Samples,
     flux_map: FluxMap,
-    harmonics: Sequence[HarmonicMap],
     resistance: float,
     drop: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
@@ -64,9 +62,7 @@ def simulate_current(
     Parameters
     ----------
     flux_map : FluxMap
-        f_0, on equally spaced axes.
-    harmonics : sequence of HarmonicMap
-        a_h and b_h; empty for methods ``psm`` and ``joint``.
+        On equally spaced axes; without harmonics for methods ``psm`` and ``joint``.
     resistance : float
         Ohm.
     drop : (C,) float, (C,) float
@@ -82,19 +78,19 @@ def simulate_current(
     u_s = frames.as_pairs(frames.space_vector(samples.u_abc))
     largest = float(max(np.abs(flux_map.i_d).max(), np.abs(flux_map.i_q).max()))
     inductance = 0.5 * sum(flux_map.typical_inductances)
+    orders = np.array([h.order for h in flux_map.harmonics], np.float64)
     constants = np.array(
         [
             resistance,
             samples.sample_period,
-            max(1 / _LARGEST_TURN, max((h.order for h in harmonics), default=0) / _LARGEST_PHASE),
+            max(1 / _LARGEST_TURN, max(orders, default=0.0) / _LARGEST_PHASE),
             _BEND * abs(inductance) * largest,
             _DIVERGED * largest,
             (_DAMPING * inductance) ** 2,
         ]
     )
     curve = np.array([drop[0][0], drop[0][1] - drop[0][0], *drop[1]], np.float64)
-    axes, table = flux_table(flux_map, harmonics)
-    orders = np.array([h.order for h in harmonics], np.float64)
+    axes, table = flux_table(flux_map)
     out = np.full((len(i_dq), 2), np.nan)
     for run in samples.runs():
         angle = _smooth_angle(samples.angle[run], samples.speed[run], samples.sample_period)
@@ -112,8 +108,8 @@ def _smooth_angle(angle: FloatArray, speed: FloatArray, period: float) -> FloatA
     return np.asarray(turned + np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid"))
 
 
-def flux_table(flux_map: FluxMap, harmonics: Sequence[HarmonicMap]) -> tuple[FloatArray, FloatArray]:
-    """Return a map and its harmonics on equally spaced axes as polynomials per cell, by the splines through them.
+def flux_table(flux_map: FluxMap) -> tuple[FloatArray, FloatArray]:
+    """Return a map on equally spaced axes as polynomials per cell, by the splines through them.
 
     Returns
     -------
@@ -127,7 +123,7 @@ def flux_table(flux_map: FluxMap, harmonics: Sequence[HarmonicMap]) -> tuple[Flo
     d, q = (np.linspace(axis[0], axis[-1], min(len(axis), _MOST_KNOTS)) for axis in own)
     axes = [[x[0], x[1] - x[0], len(x) - 1, own] for x, own in zip((d, q), flux_map.typical_inductances, strict=True)]
     parts = [flux_map.psi_d, flux_map.psi_q]
-    for h in harmonics:
+    for h in flux_map.harmonics:
         parts += [h.psi_d_cos, h.psi_q_cos, h.psi_d_sin, h.psi_q_sin]
     values = [flux_map.sampled(part, *np.meshgrid(d, q, indexing="ij")) for part in parts]
     of_d, of_q = _coefficients(len(d)), _coefficients(len(q))

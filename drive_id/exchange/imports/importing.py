@@ -105,7 +105,6 @@ def _result(source: Source, points: MapPoints, statements: list[Message]) -> Ide
             coverage=_coverage(found.flux_map, i_max),
             warnings=tuple(filter(None, warnings)),
         ),
-        harmonics=found.harmonics,
         statements=tuple(statements),
     )
     files = [source.path] if source.psi_q_file is None else [source.path, source.psi_q_file]

@@ -112,8 +112,7 @@ def torque_map(result: Result) -> TorqueMap | None:
 
 def _ripple(result: Result, model: MachineModel) -> FloatArray:
     found = result.flux_map
-    ripple = TorqueRipple.of(model, found, result.harmonics, result.i_max)
-    values = ripple.peak_to_peak(*np.meshgrid(found.i_d, found.i_q, indexing="ij"))
+    values = TorqueRipple.of(model).peak_to_peak(*np.meshgrid(found.i_d, found.i_q, indexing="ij"))
     return np.where(found.inside, values, np.nan)
 
 

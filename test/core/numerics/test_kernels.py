@@ -39,7 +39,7 @@ def test_rests(rest, count):
 def test_the_map_that_a_simulation_uses_is_the_spline_continued():
     psi = np.random.default_rng(8).normal(size=(8, 7, 2))
     flux_map = exact_map(np.linspace(-10, 12, 8), np.linspace(-9, 9, 7), psi)
-    (axes, table), (l_d, l_q) = current_simulation.flux_table(flux_map, ()), flux_map.typical_inductances
+    (axes, table), (l_d, l_q) = current_simulation.flux_table(flux_map), flux_map.typical_inductances
     here, point = np.zeros(33), np.empty(8)
     current_simulation.turn_to(0.0, np.zeros(0), here)
     for i in np.random.default_rng(5).uniform(-14, 14, (50, 2)):

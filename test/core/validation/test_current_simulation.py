@@ -27,12 +27,12 @@ def experiment(name, rpm, seconds=0.5, **settings):
 
 
 def true_model(machine, orders=ORDERS, count=40, nodes=48):
-    """Return map and harmonics: the true map's Fourier coefficients over the rotor position."""
+    """Return the map whose harmonics are the true map's Fourier coefficients over the rotor position."""
     axis = np.linspace(-1.15 * machine.i_max, 1.15 * machine.i_max, count)
     theta = 2 * np.pi / 6 * np.arange(nodes) / nodes
     spectrum = np.fft.rfft(machine.flux(axis[:, None, None], axis[:, None], theta), axis=2) / nodes
     waves = [HarmonicMap.of(h, 2 * spectrum[:, :, h // 6].real, -2 * spectrum[:, :, h // 6].imag) for h in orders]
-    return exact_map(axis, axis, spectrum[:, :, 0].real), waves
+    return exact_map(axis, axis, spectrum[:, :, 0].real, harmonics=tuple(waves))
 
 
 def simulated(simulation, samples=None, **model):
@@ -40,7 +40,7 @@ def simulated(simulation, samples=None, **model):
     current = np.linspace(-1.2 * truth.i_max, 1.2 * truth.i_max, 40001)
     return simulate_current(
         simulation.samples if samples is None else samples,
-        *true_model(simulation.machine, **model),
+        true_model(simulation.machine, **model),
         truth.resistance,
         (current, np.interp(current, truth.inverter_current, truth.inverter_voltage)),
     )
@@ -49,10 +49,10 @@ def simulated(simulation, samples=None, **model):
 def short_run():
     axis = np.linspace(-350.0, 350.0, 8)
     psi = synthetic.saturating_flux(np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1))
-    waves = [HarmonicMap.of(6, 0.01 * psi, -0.02 * psi), HarmonicMap.of(12, 0.005 * psi[::-1], 0.005 * psi)]
+    waves = HarmonicMap.of(6, 0.01 * psi, -0.02 * psi), HarmonicMap.of(12, 0.005 * psi[::-1], 0.005 * psi)
     samples = synthetic.record(speed=1500.0, duration=0.02)
     drop = np.array([-6.0, -2.0, 2.0, 6.0]), np.array([-4.0, -2.0, 2.0, 4.0])
-    return simulate_current(samples, exact_map(axis, axis, psi), waves, 0.02, drop)
+    return simulate_current(samples, exact_map(axis, axis, psi, harmonics=waves), 0.02, drop)
 
 
 @pytest.mark.cases
@@ -84,7 +84,7 @@ def test_without_harmonics_it_solves_the_papers_equation():
         step = solve_ivp(slope, (0, period), expected[-1], "DOP853", args=(k, k * period), rtol=1e-10, atol=1e-9)
         expected.append(step.y[:, -1])
     x = np.linspace(-10, 10, 4001)
-    found = simulate_current(samples, flux_map, (), 0.02, (scale * x, 4 * np.tanh(x)))
+    found = simulate_current(samples, flux_map, 0.02, (scale * x, 4 * np.tanh(x)))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4)
 
 
@@ -99,7 +99,7 @@ def test_each_run_starts_at_its_first_sample():
 def test_a_model_that_gains_energy_is_told_to_have_diverged():
     simulation = experiment("ipm", 500.0)
     drop = np.array([-1.0, 1.0]), np.array([0.0, 0.0])
-    found = simulate_current(simulation.samples, *true_model(simulation.machine), -0.3, drop)
+    found = simulate_current(simulation.samples, true_model(simulation.machine), -0.3, drop)
     assert np.isnan(found[-1]).all()
     assert np.isfinite(found[0]).all()
 
@@ -118,8 +118,9 @@ def test_noise_and_steps_of_the_resolver_do_not_drive_the_current():
 def test_the_map_at_an_angle_is_the_sum_of_its_parts():
     random, own = np.random.default_rng(3), (np.linspace(-10, 12, 8), np.linspace(-9, 9, 7))
     mean, *parts = random.normal(size=(5, 8, 7, 2))
-    flux_map, waves = exact_map(*own, mean), [HarmonicMap.of(6, *parts[:2]), HarmonicMap.of(18, *parts[2:])]
-    axes, table = current_simulation.flux_table(flux_map, waves)
+    waves = HarmonicMap.of(6, *parts[:2]), HarmonicMap.of(18, *parts[2:])
+    flux_map = exact_map(*own, mean, harmonics=waves)
+    axes, table = current_simulation.flux_table(flux_map)
     here, point = np.zeros(33 + 2 * 2), np.empty(8)
     for theta in (0.3, -4.0):
         current_simulation.turn_to(theta, np.array([6.0, 18.0]), here)

@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from drive_id.analysis.bands import BY_SPEED, ModelErrors, combined
 from drive_id.analysis.iron_loss import IronLoss
-from drive_id.analysis.surfaces import Surfaces
 from drive_id.core.maps.continuation import LongerGrid, continued
 from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.maps.surfaces import Surfaces
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.quantity import counted, measured
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
@@ -46,8 +46,6 @@ class MachineModel:
     ----------
     flux_map : FluxMap
         Continued to at least 1.25 i_max on both axes; ``inside`` tells where there are data, or data all around.
-    own : Surfaces
-        Through the map of the result: where there are data, its slopes hold.
     i_max : float
         Radius of the current disc of the experiment, A.
     resistance : float
@@ -64,11 +62,10 @@ class MachineModel:
     errors : ModelErrors or None
         None when the standard errors are not known.
     everywhere : Surfaces or None
-        The map without and with data; None: ``own`` where there are data, continued elsewhere.
+        The map without and with data; None: that of ``flux_map``.
     """
 
     flux_map: FluxMap
-    own: Surfaces
     i_max: float
     resistance: float
     pole_pairs: int | None
@@ -144,7 +141,6 @@ class MachineModel:
         warmer = 0.0 if magnet is None else magnet - REFERENCE_TEMPERATURE
         return cls(
             flux_map=flux_map,
-            own=Surfaces.over(found.i_d, found.i_q, found.psi_d, found.psi_q),
             i_max=result.i_max,
             resistance=result.resistance * factor,
             pole_pairs=pairs,
@@ -378,7 +374,7 @@ class MachineModel:
         found, grid = self.flux_map, self.flux_map.grid()
         nearest = np.moveaxis(self.inverted.values(grid[..., 0], grid[..., 1]), -1, 0)
         there = replace(found, psi_d=nearest[0], psi_q=nearest[1])
-        whole = replace(self, flux_map=there, own=self.inverted, everywhere=self.inverted)
+        whole = replace(self, flux_map=there, everywhere=self.inverted)
         if not self.monotone_inside:
             return whole
         away = np.stack([found.psi_d, found.psi_q]) - nearest
@@ -402,12 +398,9 @@ class MachineModel:
             f"at i_d = {d[k]:.3g} A, i_q = {q[k]:.3g} A, which no machine does."
         )
 
-    @cached_property
+    @property
     def _surfaces(self) -> Surfaces:
-        if self.everywhere is not None:
-            return self.everywhere
-        found = self.flux_map
-        return Surfaces.around(self.own, found.inside, found.i_d, found.i_q, (found.psi_d, found.psi_q))
+        return self.everywhere or self.flux_map.surfaces
 
 
 def folded(result: Result) -> str:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drive_id.analysis.machine import MachineModel
-from drive_id.analysis.surfaces import Surfaces
+from drive_id.core.maps.surfaces import Surfaces
 from drive_id.types import FloatArray
 
 _NODES = 12  # of Gauss-Legendre's rule from zero current to each point

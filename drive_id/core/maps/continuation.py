@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -91,7 +91,7 @@ class LongerGrid:
             HarmonicMap(h.order, *self.whole(np.stack([h.psi_d_cos, h.psi_d_sin, h.psi_q_cos, h.psi_q_sin])))
             for h in found.harmonics
         )
-        return FluxMap.of(self.i_d, self.i_q, psi, sigma, self.known, waves)
+        return replace(FluxMap.of(self.i_d, self.i_q, psi, sigma, self.known, waves), inner=found)
 
 
 def _reaching(axis: FloatArray, reach: float) -> FloatArray:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drive_id.core.maps.surfaces import Surfaces
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.types import BoolArray, FloatArray, IntArray, ranges_table
-
-if TYPE_CHECKING:  # drawing a map needs neither numba nor scipy
-    from scipy.interpolate import RectBivariateSpline
 
 Outside = Literal["nan", "raise"]
 
@@ -42,6 +40,8 @@ class FluxMap:
         there, ``sigma_d`` and ``sigma_q`` hold its standard errors, and all that is asked of the map is answered.
     harmonics : tuple of HarmonicMap
         Of the rotor position, on the same grid.
+    inner : FluxMap, optional
+        The map that this one continues: where there are data, its slopes hold.
     """
 
     i_d: FloatArray
@@ -53,6 +53,7 @@ class FluxMap:
     inside: BoolArray
     enclosed: BoolArray | None = None
     harmonics: tuple[HarmonicMap, ...] = field(default=(), kw_only=True)
+    inner: FluxMap | None = field(default=None, kw_only=True)
 
     @classmethod
     def of(
@@ -137,8 +138,7 @@ class FluxMap:
             ``[[L_dd, L_dq], [L_qd, L_qq]]``, ``L_dq`` being dpsi_d/di_q, H.
         """
         i_dq, cells = self._located(i_d, i_q, outside)
-        slopes = [self._evaluated(i_dq, order) for order in ((1, 0), (0, 1))]
-        return np.where(cells.inside[..., None, None], np.stack(slopes, axis=-1), np.nan)
+        return np.where(cells.inside[..., None, None], self.surfaces.slopes(*np.moveaxis(i_dq, -1, 0)), np.nan)
 
     def sigma(self, i_d: ArrayLike, i_q: ArrayLike, outside: Outside = "nan") -> tuple[FloatArray, FloatArray]:
         """Return the standard errors of the flux linkages, interpolated bilinearly.
@@ -155,11 +155,11 @@ class FluxMap:
         return sigma_d, sigma_q
 
     def continued(self, i_dq: FloatArray) -> FloatArray:
-        """Return psi_d, psi_q (..., 2), Wb, at currents (..., 2), A, also outside the data; constant beyond the grid.
+        """Return psi_d, psi_q (..., 2), Wb, at currents (..., 2), A, also outside the data; linear beyond the grid.
 
         What the map holds outside the data is a continuation for simulations, not a measurement.
         """
-        return self._evaluated(i_dq, (0, 0))
+        return self.surfaces.values(*np.moveaxis(i_dq, -1, 0))
 
     def _repr_html_(self) -> str:
         """Return the ranges of the map as a small table, for notebooks."""
@@ -202,15 +202,12 @@ class FluxMap:
         return _Cells.of(self, np.stack(held, axis=-1))
 
     @cached_property
-    def _splines(self) -> tuple[RectBivariateSpline, RectBivariateSpline]:
-        from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  # a fit does not need it
-
-        return RectBivariateSpline(self.i_d, self.i_q, self.psi_d), RectBivariateSpline(self.i_d, self.i_q, self.psi_q)
-
-    def _evaluated(self, i_dq: FloatArray, order: tuple[int, int]) -> FloatArray:
-        known = np.nan_to_num(i_dq)
-        fluxes = [spline.ev(known[..., 0], known[..., 1], dx=order[0], dy=order[1]) for spline in self._splines]
-        return np.stack(fluxes, axis=-1)
+    def surfaces(self) -> Surfaces:
+        """Both flux linkages as functions of any current."""
+        psi = self.psi_d, self.psi_q
+        if self.inner is None:
+            return Surfaces.over(self.i_d, self.i_q, *psi)
+        return Surfaces.around(self.inner.surfaces, self.inside, self.i_d, self.i_q, psi)
 
     def _located(self, i_d: ArrayLike, i_q: ArrayLike, outside: Outside) -> tuple[FloatArray, _Cells]:
         if outside not in ("nan", "raise"):
@@ -231,7 +228,7 @@ class FluxMap:
                 f"The flux map has no data at i_d = {d:.4g} A, i_q = {q:.4g} A: stay within the recorded currents, or "
                 'ask for NaN there by outside="nan".'
             )
-        return i_dq, cells
+        return np.nan_to_num(i_dq, posinf=0.0, neginf=0.0), cells
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,6 +57,7 @@ class PaperMethod:
         psi, error = np.zeros(grid.shape), np.full(grid.shape, np.nan)
         psi[inside] = model.rows(grid[inside]).dot(solution.gamma)
         error[inside] = _sigma(model, spread, grid[inside])
+        known = FluxMap.of(evidence.visits.i_d, evidence.visits.i_q, psi, error, inside)
         curve = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         tanh = np.linspace(-_TANH_REACH, _TANH_REACH, _TANH_POINTS)
         scale = evidence.settings.inverter_current_scale
@@ -68,9 +69,7 @@ class PaperMethod:
             sigma_voltage_error=sigma(spread.voltage_error),
             inverter_current=curve,
             inverter_voltage=solution.voltage_error * information.shape(curve),
-            flux_map=LongerGrid.around(
-                FluxMap.of(evidence.visits.i_d, evidence.visits.i_q, psi, error, inside)
-            ).flux_map(),
+            flux_map=replace(LongerGrid.around(known).flux_map(), inner=None),
             drop=(scale * tanh, solution.voltage_error * np.tanh(tanh)),
             positive_definite=lambda i_dq: positive_definite(jacobian(model, solution.gamma, i_dq)),
             report=FitReport(

@@ -13,6 +13,7 @@ from drive_id.analysis.bands import BY_SPEED, ModelErrors, combined
 from drive_id.analysis.iron_loss import IronLoss
 from drive_id.core.maps.continuation import LongerGrid, continued
 from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.maps.flux_models import positive_definite
 from drive_id.core.maps.surfaces import Surfaces
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.quantity import counted, measured
@@ -299,7 +300,7 @@ class MachineModel:
     def _rising(self) -> tuple[BoolArray, BoolArray]:
         """Tell at nodes and between them where the inductance matrix is positive definite, and where data are."""
         i_d, i_q = np.meshgrid(*self._nodes, indexing="ij")
-        return definite(self._surfaces.slopes(i_d, i_q)), self.inside(i_d, i_q)
+        return positive_definite(self._surfaces.slopes(i_d, i_q)), self.inside(i_d, i_q)
 
     @property
     def _nodes(self) -> tuple[FloatArray, FloatArray]:
@@ -318,7 +319,7 @@ class MachineModel:
         """
         d, q = _currents(i_d, i_q)
         found = (self._surfaces if self.monotone_inside else self.inverted).slopes(d, q)
-        wrong = ~definite(found) & self.inside(d, q)
+        wrong = ~positive_definite(found) & self.inside(d, q)
         if wrong.any():
             raise CoverageError(
                 f"The incremental inductances are not positive at {int(wrong.sum())} of {wrong.size} currents, even "
@@ -359,7 +360,7 @@ class MachineModel:
             samples = whole.psi(np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1))
             surfaces = Surfaces.over(i_d, i_q, samples[..., 0], samples[..., 1])
             i_d, i_q = halved(i_d), halved(i_q)
-            if definite(surfaces.slopes(*np.meshgrid(i_d, i_q, indexing="ij"))).all():
+            if positive_definite(surfaces.slopes(*np.meshgrid(i_d, i_q, indexing="ij"))).all():
                 break
         return surfaces
 
@@ -409,12 +410,6 @@ def folded(result: Result) -> str:
         return ""
     model = MachineModel.of(result)
     return "" if model.monotone_inside else f"{model.fold} {_CONSEQUENCE}"
-
-
-def definite(slopes: FloatArray) -> BoolArray:
-    """Tell which matrices (..., 2, 2) have a positive definite symmetric part."""
-    cross = 0.5 * (slopes[..., 0, 1] + slopes[..., 1, 0])
-    return np.asarray((slopes[..., 0, 0] > 0) & (slopes[..., 0, 0] * slopes[..., 1, 1] > cross**2))
 
 
 def halved(axis: FloatArray, cells: BoolArray | None = None) -> FloatArray:

@@ -11,7 +11,7 @@ from drive_id.core.checks.radius import radius_warnings
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.methods.method import Estimate, Limits
 from drive_id.messages import Message
-from drive_id.types import FloatArray
+from drive_id.types import BoolArray
 
 _BY_NOISE = 3.0  # mean deviation of a simulation from noisy currents that it begins with: twice their noise was seen
 _REVERSED = 4.0
@@ -63,9 +63,10 @@ def condemned(evidence: Evidence, estimate: Estimate, mad: tuple[float, float], 
     off = (c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations)
     if told and any(off):
         return because(evidence, "impossible_angle")
-    i_dq = _with_data(evidence, estimate.flux_map)
-    if not len(i_dq):
+    inside = _with_data(evidence, estimate.flux_map)
+    if not inside.any():
         return None
+    i_dq = estimate.flux_map.grid()[inside]
     share = float((~estimate.positive_definite(i_dq)).mean())
     diverges = not np.isfinite(mad).all()
     if share < (_INDEFINITE if diverges else _INDEFINITE_IN_ITSELF):
@@ -79,10 +80,9 @@ def because(evidence: Evidence, code: str, **values: float) -> Message:
     return Message(code, "error", cause=cause and f"{cause[0].lower()}{cause[1:]}", **values)
 
 
-def _with_data(evidence: Evidence, flux_map: FluxMap) -> FloatArray:
-    """Return the currents (N, 2), A, of the map's points with data on the disc."""
-    grid = flux_map.grid()
-    return grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)]
+def _with_data(evidence: Evidence, flux_map: FluxMap) -> BoolArray:
+    """Tell (D, Q) which points of the map have data and lie on the disc."""
+    return flux_map.inside & (np.hypot(flux_map.i_d[:, None], flux_map.i_q) <= evidence.i_max)
 
 
 def _on_fit(estimate: Estimate, limits: Limits) -> Iterator[Message]:
@@ -109,17 +109,18 @@ def _on_decimation(evidence: Evidence, estimate: Estimate) -> Iterator[Message]:
 
 def _on_map(evidence: Evidence, estimate: Estimate, limits: Limits) -> Iterator[Message]:
     flux_map = estimate.flux_map
-    i_dq = _with_data(evidence, flux_map)
-    if not len(i_dq):
+    inside = _with_data(evidence, flux_map)
+    if not inside.any():
         return
+    i_dq = flux_map.grid()[inside]
     active = ~estimate.positive_definite(i_dq)
     if active.mean() > _FEW_POINTS:
         d, q = i_dq[active].mean(axis=0)
         points = int(active.sum())
         yield Message("indefinite_inductances", points=points, of=len(i_dq), i_d=d, i_q=q, remedy=limits.remedy)
-    nearest = i_dq[np.hypot(*i_dq.T).argmin()]
-    magnet, sigma = (float(flux_map.sampled(x, *nearest)) for x in (flux_map.psi_d, flux_map.sigma_d))
-    least = max(_REVERSED * sigma, limits.reversed * np.abs(flux_map.bilinear(i_dq)).max())
+    centre = np.hypot(*i_dq.T).argmin()
+    nearest, magnet, sigma = (x[centre] for x in (i_dq, flux_map.psi_d[inside], flux_map.sigma_d[inside]))
+    least = max(_REVERSED * sigma, limits.reversed * np.abs(flux_map.psi[inside]).max())
     offset = any(finding.code == "angle_offset" for finding in evidence.findings)
     if not offset and magnet < -least:
         magnet -= float(nearest[0] * np.nan_to_num(flux_map.inductances(*nearest))[0, 0])  # flux of that current

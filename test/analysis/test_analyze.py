@@ -164,7 +164,7 @@ def test_the_ripple_is_that_of_the_co_energy(analysis):
         found = ripple.over_angle(np.array(i_d), np.array(i_q), theta)
         np.testing.assert_allclose(found, varying, atol=0.01 * np.abs(varying).max())
         assert ripple.peak_to_peak(np.array(i_d), np.array(i_q)) == pytest.approx(np.ptp(varying), rel=0.02)
-    maps = CurrentMaps.of(analysis.model, ripple, np.array([-12.0, 3.0]), np.array([25.0, 1.0, 2.0]), 500.0)
+    maps = CurrentMaps.of(analysis.model, np.array([-12.0, 3.0]), np.array([25.0, 1.0, 2.0]), 500.0)
     assert maps.ripple[0, 0] == pytest.approx(ripple.peak_to_peak(np.array(-12.0), np.array(25.0)))
 
 

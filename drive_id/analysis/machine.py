@@ -328,11 +328,6 @@ class MachineModel:
             )
         return found
 
-    @property
-    def least_inductance(self) -> float:
-        """The smallest incremental inductance, in any direction, within i_max where there are data, H."""
-        return self.inductance_range[0]
-
     @cached_property
     def inductance_range(self) -> tuple[float, float]:
         """The smallest and largest incremental inductance, in any direction, within i_max where there are data, H."""

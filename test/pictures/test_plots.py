@@ -333,7 +333,7 @@ def degenerate(drive):
     nan, zero, few = np.full_like(flux_map.psi_d, np.nan), np.zeros_like(flux_map.psi_d), np.linspace(-300.0, 300.0, 4)
     square, none = np.ones((4, 4)), 0 * drive.inverter_voltage
     many = 10.0 ** np.linspace(-9, 3, nan.size).reshape(nan.shape)
-    wild = np.where(flux_map.inside, flux_map.psi_d, 1e300)
+    wild = np.where(flux_map.inside, flux_map.psi_d, 1e100)
     coarse = replace(
         flux_map, i_d=few, i_q=few, psi_d=few[:, None] * square, psi_q=few * square, sigma_d=square, sigma_q=square,
         inside=square > 0,

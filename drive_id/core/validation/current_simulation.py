@@ -119,8 +119,7 @@ def flux_table(flux_map: FluxMap) -> tuple[FloatArray, FloatArray]:
         Coefficients of t^0 s^0, t^0 s^1, ... t^3 s^3 in each cell, row-major in d and q: psi_d, then psi_q, Wb. Those
         of f_0 come before those of a_h and b_h of each harmonic.
     """
-    own = flux_map.i_d, flux_map.i_q
-    d, q = (np.linspace(axis[0], axis[-1], min(len(axis), _MOST_KNOTS)) for axis in own)
+    d, q = (np.linspace(x[0], x[-1], min(len(x), _MOST_KNOTS)) for x in (flux_map.i_d, flux_map.i_q))
     axes = [[x[0], x[1] - x[0], len(x) - 1, own] for x, own in zip((d, q), flux_map.typical_inductances, strict=True)]
     parts = [flux_map.psi_d, flux_map.psi_q]
     for h in flux_map.harmonics:

@@ -116,7 +116,6 @@ class MachineModel:
             When the map has hardly any data.
         """
         result.check_turning()
-        result = result.enclosed
         pairs, link = result.pole_pairs if pole_pairs is None else pole_pairs, result.u_dc if u_dc is None else u_dc
         if pairs is not None and pairs < 1:
             raise ConfigurationError(f"pole_pairs is {pairs}: give a whole number of at least 1.")
@@ -126,7 +125,7 @@ class MachineModel:
         for name, value in (("temperature", temperature), ("magnet_temperature", magnet)):
             if value is not None and not -100.0 <= value <= 300.0:
                 raise ConfigurationError(f"{name} is {value} degC: it must be between -100 and 300 degC.")
-        found = result.flux_map
+        found = result.flux_map.whole
         if found.inside.sum() < _FEWEST:
             raise CoverageError(
                 f"The flux map has only {counted(found.inside.sum(), 'point')} with data: at least "
@@ -401,7 +400,7 @@ class MachineModel:
 
 def folded(result: Result) -> str:
     """Return the sentence on where the map of a result folds; empty where it does not, or is too small to tell."""
-    if not result.origin.turning or result.enclosed.flux_map.inside.sum() < _FEWEST:
+    if not result.origin.turning or result.flux_map.known.sum() < _FEWEST:
         return ""
     model = MachineModel.of(result)
     return "" if model.monotone_inside else f"{model.fold} {_CONSEQUENCE}"

@@ -156,15 +156,6 @@ class Result:
         """Flux linkages, incremental inductances and standard errors at any current that samples at least enclose."""
         return self.drive.answering
 
-    @cached_property
-    def enclosed(self) -> Self:
-        """The result whose map counts as inside also where samples only enclose the current."""
-        found = self.flux_map
-        if found.enclosed is None:
-            return self
-        wider = replace(found, inside=found.inside | found.enclosed, enclosed=None)
-        return replace(self, drive=replace(self.drive, flux_map=wider))
-
     @property
     def harmonics(self) -> tuple[HarmonicMap, ...]:
         """Rotor-position harmonics of the flux linkages; method ``full``."""
@@ -348,7 +339,7 @@ class Result:
             )
         from drive_id.core.maps.continuation import LongerGrid  # noqa: PLC0415  # a fit needs no scipy
 
-        longer = LongerGrid.around(self.enclosed.flux_map, _MARGIN * self.i_max).flux_map()
+        longer = LongerGrid.around(self.flux_map.whole, _MARGIN * self.i_max).flux_map()
         psi_d, psi_q = longer.psi_d, longer.psi_q
         theta, ripple_d, ripple_q = None, None, None
         if self.harmonics:

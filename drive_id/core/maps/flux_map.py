@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal
 
@@ -78,6 +78,16 @@ class FluxMap:
     def largest(self) -> float:
         """Largest amplitude of the flux linkage where there are data, Wb; 0 without data."""
         return float(np.hypot(self.psi_d, self.psi_q)[self.inside].max(initial=0.0))
+
+    @cached_property
+    def known(self) -> BoolArray:
+        """Where the map answers (D, Q): there are data, or samples enclose the current."""
+        return self.inside if self.enclosed is None else self.inside | self.enclosed
+
+    @cached_property
+    def whole(self) -> FluxMap:
+        """The map whose points count as inside wherever it answers."""
+        return self if self.enclosed is None else replace(self, inside=self.known, enclosed=None)
 
     @cached_property
     def psi(self) -> FloatArray:
@@ -247,8 +257,7 @@ class _Cells:
         corners = np.stack([first, first + 1, first + columns, first + columns + 1], axis=-1)
         weights = np.stack([(1 - t) * (1 - s), (1 - t) * s, t * (1 - s), t * s], axis=-1)
         within = (t >= 0) & (t <= 1) & (s >= 0) & (s <= 1)  # False for NaN
-        known = flux_map.inside if flux_map.enclosed is None else flux_map.inside | flux_map.enclosed
-        supported = known.ravel()[corners] | (weights == 0)
+        supported = flux_map.known.ravel()[corners] | (weights == 0)
         return cls(corners, weights, within & supported.all(axis=-1))
 
     def mean(self, values: FloatArray) -> FloatArray:

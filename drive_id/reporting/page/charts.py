@@ -47,7 +47,7 @@ def charts_of(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
 
 def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
     """Return axes, quantities over them, and where there are data."""
-    found = result.enclosed.flux_map
+    found = result.flux_map.whole
     rows, columns = _thinned(len(found.i_d)), _thinned(len(found.i_q))
     at = np.ix_(rows, columns)
     known = found.inside[at]

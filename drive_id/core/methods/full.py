@@ -122,7 +122,6 @@ class FullMethod:
             ),
             drop=(current, drops.mean(axis=1)),
             effects=_effect_voltages(evidence, fit),
-            positive_definite=fit.passive,
             report=FitReport(
                 samples_used=round((evidence.samples - evidence.idle) * share),
                 rows=2 * information.windows,

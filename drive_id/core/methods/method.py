@@ -40,7 +40,6 @@ class Estimate(Parameters):
 
     drop: tuple[FloatArray, FloatArray]
     """Equally spaced phase currents (C,), A, and the inverter's drop there, V, for simulations."""
-    positive_definite: Callable[[FloatArray], BoolArray]  # (N,), of inductances at currents (N, 2), A
     report: FitReport  # as far as the method knows it
     unexplained: float  # rms residual over the rms of all integrated voltages
     outlying_time: float | None  # where samples stand out from all others, in time of data, s

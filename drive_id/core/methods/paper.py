@@ -12,7 +12,7 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.maps.continuation import LongerGrid
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_map import FluxMap
-from drive_id.core.maps.flux_models import FluxModel, jacobian, positive_definite
+from drive_id.core.maps.flux_models import FluxModel
 from drive_id.core.methods.method import CURVE_POINTS, Estimate, Limits
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.paper.regression import RegressionSums
@@ -71,7 +71,6 @@ class PaperMethod:
             inverter_voltage=solution.voltage_error * information.shape(curve),
             flux_map=replace(LongerGrid.around(known).flux_map(), inner=None),
             drop=(scale * tanh, solution.voltage_error * np.tanh(tanh)),
-            positive_definite=lambda i_dq: positive_definite(jacobian(model, solution.gamma, i_dq)),
             report=FitReport(
                 samples_used=information.rows // 2,
                 rows=information.rows,

@@ -43,7 +43,6 @@ def made_monotone(estimate: Estimate) -> Estimate:
     return replace(
         estimate,
         flux_map=replace(known, **dict(zip(("psi_d", "psi_q"), np.moveaxis(found.psi(grid), -1, 0), strict=True))),
-        positive_definite=lambda points: np.linalg.eigvalsh(found.inductances(points))[:, 0] > 0,
         warnings=(*estimate.warnings, *warnings),
         statements=(*estimate.statements, statement),
     )

@@ -9,6 +9,7 @@ import numpy as np
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import radius_warnings
 from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.maps.flux_models import positive_definite
 from drive_id.core.methods.method import Estimate, Limits
 from drive_id.messages import Message
 from drive_id.types import BoolArray
@@ -66,8 +67,7 @@ def condemned(evidence: Evidence, estimate: Estimate, mad: tuple[float, float], 
     inside = _with_data(evidence, estimate.flux_map)
     if not inside.any():
         return None
-    i_dq = estimate.flux_map.grid()[inside]
-    share = float((~estimate.positive_definite(i_dq)).mean())
+    share = float(_indefinite(estimate.flux_map, inside).mean())
     diverges = not np.isfinite(mad).all()
     if share < (_INDEFINITE if diverges else _INDEFINITE_IN_ITSELF):
         return None
@@ -83,6 +83,11 @@ def because(evidence: Evidence, code: str, **values: float) -> Message:
 def _with_data(evidence: Evidence, flux_map: FluxMap) -> BoolArray:
     """Tell (D, Q) which points of the map have data and lie on the disc."""
     return flux_map.inside & (np.hypot(flux_map.i_d[:, None], flux_map.i_q) <= evidence.i_max)
+
+
+def _indefinite(flux_map: FluxMap, points: BoolArray) -> BoolArray:
+    """Tell (N,) at which of the points (D, Q) the inductances are not positive definite."""
+    return ~positive_definite(flux_map.inductances(*flux_map.grid()[points].T))
 
 
 def _on_fit(estimate: Estimate, limits: Limits) -> Iterator[Message]:
@@ -113,7 +118,7 @@ def _on_map(evidence: Evidence, estimate: Estimate, limits: Limits) -> Iterator[
     if not inside.any():
         return
     i_dq = flux_map.grid()[inside]
-    active = ~estimate.positive_definite(i_dq)
+    active = _indefinite(flux_map, inside)
     if active.mean() > _FEW_POINTS:
         d, q = i_dq[active].mean(axis=0)
         points = int(active.sum())

@@ -9,6 +9,7 @@ import pytest
 from synthetic import record, saturating_flux
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.flux_models import positive_definite
 from drive_id.core.methods.paper import PAPER_METHODS
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather
@@ -69,7 +70,8 @@ def test_a_map_that_the_data_fold_is_moved_with_a_warning(estimated):
     (warning,) = (sentence for sentence in found.warnings if "monotone" in sentence)
     assert "refuse" in warning
     assert "was made monotone" in found.statements[-1]
-    assert found.positive_definite(grid.reshape(-1, 2)).all()
+    everywhere = replace(found.flux_map, inside=np.ones_like(inside))
+    assert positive_definite(everywhere.inductances(*np.moveaxis(grid, -1, 0))).all()
     moved = np.abs(found.flux_map.psi - folded.flux_map.psi)[inside]
     assert f"{moved.max():.3g} Wb" in found.statements[-1]
 

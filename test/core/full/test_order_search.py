@@ -75,7 +75,7 @@ def test_an_order_that_nobody_asked_for_is_found_and_fitted(simulation):
     errors = {name: max(score(one, simulation.truth)) for name, one in
               (("found", found), ("without", without), ("asked", asked))}  # fmt: skip
     assert errors["found"] < min(1e-3, 0.9 * errors["without"])
-    np.testing.assert_allclose(found.flux_map.psi_q, asked.flux_map.psi_q, atol=1e-3 * np.abs(asked.gamma).max())
+    np.testing.assert_allclose(found.flux_map.psi_q, asked.flux_map.psi_q, atol=1e-3 * np.abs(asked.flux_map.psi).max())
 
 
 def test_windows_serve_another_model(windows, simulation):

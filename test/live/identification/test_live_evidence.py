@@ -72,8 +72,8 @@ def test_snapshots_are_the_offline_fit_of_what_was_there(samples, method):
     for snapshot, recording in ((second, samples), (first, part)):  # the older one last: later samples are not in it
         found, expected = snapshot.conclude().drive, identify([recording], settings)
         assert_same(found, expected)
-        # where such a map folds, a simulation amplifies rounding
-        assert found.report.mad_d == pytest.approx(expected.report.mad_d, rel=1e-4)
+        # such a map folds at some points, and a simulation that passes there amplifies rounding
+        assert found.report.mad_d == pytest.approx(expected.report.mad_d, rel=5e-3)
         assert snapshot.join.last_stamp == recording.stamp[-1]
 
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
@@ -17,7 +19,7 @@ REACH = 6.0
 
 
 def continued(
-    values: FloatArray, known: BoolArray, axes: tuple[FloatArray, FloatArray], slopes: tuple[float, float]
+    values: FloatArray, known: BoolArray, axes: tuple[FloatArray, FloatArray], slopes: ArrayLike
 ) -> FloatArray:
     """Continue values on a grid where they are not known: smoothly, with slopes that soon tend to given ones.
 
@@ -28,8 +30,8 @@ def continued(
     known : (D, Q) bool
         At least one.
     axes : ((D,), (Q,)) of float
-    slopes : (float, float)
-        Along both axes.
+    slopes : (2,) or (K, 2) float
+        Along both axes, for all arrays or for each.
 
     Returns
     -------
@@ -37,7 +39,8 @@ def continued(
         The known values, and around them those whose distances r from a plane of the given slopes minimize the sum of
         squared second differences of r plus its squared first differences over the square of :data:`REACH`.
     """
-    plane = slopes[0] * axes[0][:, None] + slopes[1] * axes[1]
+    along_both = np.asarray(slopes)[..., None, None]
+    plane = along_both[..., 0, :, :] * axes[0][:, None] + along_both[..., 1, :, :] * axes[1]
     operators = []
     for order, weight in ((1, 1 / REACH), (2, 1.0)):
         for axis, count in enumerate(known.shape):
@@ -75,7 +78,7 @@ class LongerGrid:
         known[places] = found.inside
         return cls(found, longer[0], longer[1], known, places)
 
-    def whole(self, values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
+    def whole(self, values: FloatArray, slopes: ArrayLike = (0.0, 0.0)) -> FloatArray:
         """Return values (..., d, q) on the own grid, continued to this one (..., D, Q), see :func:`continued`."""
         placed = np.zeros((*values.shape[:-2], *self.known.shape))
         placed[..., self.places[0], self.places[1]] = values
@@ -83,15 +86,17 @@ class LongerGrid:
 
     def flux_map(self) -> FluxMap:
         """Return the map likewise, each flux with its typical slope along its own current; further errors are NaN."""
-        found, (l_d, l_q) = self.found, self.found.typical_inductances
+        found = self.found
         sigma = np.full((*self.known.shape, 2), np.nan)
         sigma[self.places] = found.sigmas
-        psi = np.stack([self.whole(found.psi_d, (l_d, 0.0)), self.whole(found.psi_q, (0.0, l_q))], axis=-1)
-        waves = tuple(
-            HarmonicMap(h.order, *self.whole(np.stack([h.psi_d_cos, h.psi_d_sin, h.psi_q_cos, h.psi_q_sin])))
-            for h in found.harmonics
-        )
-        return replace(FluxMap.of(self.i_d, self.i_q, psi, sigma, self.known, waves), inner=found)
+        waves = [x for h in found.harmonics for x in (h.psi_d_cos, h.psi_d_sin, h.psi_q_cos, h.psi_q_sin)]
+        slopes = np.zeros((2 + len(waves), 2))
+        slopes[:2] = np.diag(found.typical_inductances)
+        psi_d, psi_q, *waves = self.whole(np.stack([found.psi_d, found.psi_q, *waves]), slopes)
+        parts = iter(waves)
+        harmonics = tuple(HarmonicMap(h.order, *islice(parts, 4)) for h in found.harmonics)
+        psi = np.stack([psi_d, psi_q], axis=-1)
+        return replace(FluxMap.of(self.i_d, self.i_q, psi, sigma, self.known, harmonics), inner=found)
 
 
 def _reaching(axis: FloatArray, reach: float) -> FloatArray:

@@ -15,7 +15,8 @@ from reproduction import MACHINES, METHODS, SECONDS, SIMULATION
 
 from drive_id.bench.machines import machine_map
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import identify
 from drive_id.core.validation.metrics import true_flux
 from drive_id.fitting.simulated import run_experiment

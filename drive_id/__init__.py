@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from drive_id.analysis.settings import AnalysisSettings
     from drive_id.bench.settings import SimulationSettings
     from drive_id.core.fit_settings import FitSettings
+    from drive_id.core.maps.flux_map import FluxMap
     from drive_id.core.planning.planner import plan
     from drive_id.core.planning.settings import PlanSettings
-    from drive_id.core.result.identification import FluxMap
     from drive_id.core.steady.operating_data import OperatingData
     from drive_id.errors import DriveIdError
     from drive_id.exchange.exports.exporting import export_map as export

@@ -82,7 +82,7 @@ CONTAINERS = {"asammdf", "h5py", "nptdms", "pandas", "pyarrow"}
 ROOMS = {
     "drive_id": Room.of(
         NOUNS
-        | below("core", "fit_settings", "result", "steady")
+        | below("core", "fit_settings", "maps", "result", "steady")
         | {"drive_id.analysis", "drive_id.bench", "drive_id.core.planning", "drive_id.fitting", "drive_id.inspection"}
         | {"drive_id.result"}
         | {"drive_id.exchange.exports", "drive_id.exchange.imports"},
@@ -160,7 +160,7 @@ ROOMS = {
         {"numpy", "rich", "yaml", *ROS},
     ),
     "drive_id.web": Room.of(
-        NOUNS | below("core", "result") | below("files", "results") | {"drive_id.result"},
+        NOUNS | below("core", "maps", "result") | below("files", "results") | {"drive_id.result"},
         {"numpy", "jinja2", "starlette"},
     ),
     "drive_id.cli": Room.of(

@@ -13,7 +13,6 @@ from drive_id.analysis.folder import Analysis, Figure, SpeedRange
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.operation import Operation, OperationErrors, changes
-from drive_id.analysis.ripple import TorqueRipple
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus, characteristic_current, mtpa, mtpa_angle_changes, mtpv
 from drive_id.errors import ConfigurationError, DataError
@@ -22,7 +21,6 @@ from drive_id.result.result import Result
 from drive_id.temperature import REFERENCE_TEMPERATURE
 
 _RPM = math.pi / 30  # rad/s
-_REACH = 1.25  # of the harmonics of the torque, in the larger i_max
 _FURTHEST = 4.0  # largest current of an analysis relative to that of the map
 _LEAST_TORQUE = 1e-4  # at i_max, of the product of flux and current: less counts as none
 _MOST_FALLING = 0.5  # share of the points with data at which a flux may fall with its own current
@@ -79,8 +77,7 @@ def analyze(result: Result | str | Path, settings: AnalysisSettings | None = Non
     beyond = mtpv(model, i_max, chosen.current_points)
     limits = [DriveLimits(i_max, chosen.modulation * u_dc / math.sqrt(3)) for u_dc in voltages]
     ranges = tuple(_speed_range(model, chosen, u_dc, limit) for u_dc, limit in zip(voltages, limits, strict=True))
-    ripple = TorqueRipple.of(model, found.flux_map, found.harmonics, _REACH * max(i_max, found.i_max))
-    maps = CurrentMaps.of(model, ripple, found.flux_map.i_d, found.flux_map.i_q, chosen.bandwidth)
+    maps = CurrentMaps.of(model, found.flux_map.i_d, found.flux_map.i_q, chosen.bandwidth)
     return Analysis(
         result=found,
         settings=chosen,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.analysis.surfaces import Surfaces
 from drive_id.core.maps.continuation import LongerGrid
+from drive_id.core.maps.surfaces import Surfaces
 from drive_id.types import FloatArray
 
 if TYPE_CHECKING:

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike
 
 from drive_id.analysis.bands import BY_SPEED, ModelErrors, combined
 from drive_id.analysis.iron_loss import IronLoss
-from drive_id.analysis.surfaces import Surfaces
 from drive_id.core.maps.continuation import LongerGrid, continued
-from drive_id.core.result.identification import FluxMap
+from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.maps.flux_models import positive_definite
+from drive_id.core.maps.surfaces import Surfaces
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.quantity import counted, measured
 from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
@@ -46,8 +47,6 @@ class MachineModel:
     ----------
     flux_map : FluxMap
         Continued to at least 1.25 i_max on both axes; ``inside`` tells where there are data, or data all around.
-    own : Surfaces
-        Through the map of the result: where there are data, its slopes hold.
     i_max : float
         Radius of the current disc of the experiment, A.
     resistance : float
@@ -64,11 +63,10 @@ class MachineModel:
     errors : ModelErrors or None
         None when the standard errors are not known.
     everywhere : Surfaces or None
-        The map without and with data; None: ``own`` where there are data, continued elsewhere.
+        The map without and with data; None: that of ``flux_map``.
     """
 
     flux_map: FluxMap
-    own: Surfaces
     i_max: float
     resistance: float
     pole_pairs: int | None
@@ -118,7 +116,6 @@ class MachineModel:
             When the map has hardly any data.
         """
         result.check_turning()
-        result = result.enclosed
         pairs, link = result.pole_pairs if pole_pairs is None else pole_pairs, result.u_dc if u_dc is None else u_dc
         if pairs is not None and pairs < 1:
             raise ConfigurationError(f"pole_pairs is {pairs}: give a whole number of at least 1.")
@@ -128,25 +125,22 @@ class MachineModel:
         for name, value in (("temperature", temperature), ("magnet_temperature", magnet)):
             if value is not None and not -100.0 <= value <= 300.0:
                 raise ConfigurationError(f"{name} is {value} degC: it must be between -100 and 300 degC.")
-        found = result.flux_map
+        found = result.flux_map.whole
         if found.inside.sum() < _FEWEST:
             raise CoverageError(
                 f"The flux map has only {counted(found.inside.sum(), 'point')} with data: at least "
                 f"{_FEWEST} are needed; record "
                 "more of the current disc."
             )
-        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, max(_MARGIN * result.i_max, reach))
-        psi_d, psi_q = longer.flux(found.psi_d, 0), longer.flux(found.psi_q, 1)
-        sigmas = np.full((2, *longer.known.shape), np.nan)
-        sigmas[:, longer.places[0], longer.places[1]] = found.sigma_d, found.sigma_q
-        coefficient = result.drive.magnet_coefficient
+        longer = LongerGrid.around(found, max(_MARGIN * result.i_max, reach))
+        flux_map, coefficient = longer.flux_map(), result.drive.magnet_coefficient
         if magnet is not None and coefficient is not None:
-            psi_d = psi_d + coefficient[0] * (magnet - REFERENCE_TEMPERATURE)
+            warmed = flux_map.psi_d + coefficient[0] * (magnet - REFERENCE_TEMPERATURE)
+            flux_map = replace(flux_map, psi_d=warmed)
         factor = 1.0 if temperature is None else 1 + COPPER * (temperature - REFERENCE_TEMPERATURE)
         warmer = 0.0 if magnet is None else magnet - REFERENCE_TEMPERATURE
         return cls(
-            flux_map=FluxMap(longer.i_d, longer.i_q, psi_d, psi_q, sigmas[0], sigmas[1], longer.known),
-            own=Surfaces.over(found.i_d, found.i_q, found.psi_d, found.psi_q),
+            flux_map=flux_map,
             i_max=result.i_max,
             resistance=result.resistance * factor,
             pole_pairs=pairs,
@@ -305,7 +299,7 @@ class MachineModel:
     def _rising(self) -> tuple[BoolArray, BoolArray]:
         """Tell at nodes and between them where the inductance matrix is positive definite, and where data are."""
         i_d, i_q = np.meshgrid(*self._nodes, indexing="ij")
-        return definite(self._surfaces.slopes(i_d, i_q)), self.inside(i_d, i_q)
+        return positive_definite(self._surfaces.slopes(i_d, i_q)), self.inside(i_d, i_q)
 
     @property
     def _nodes(self) -> tuple[FloatArray, FloatArray]:
@@ -324,7 +318,7 @@ class MachineModel:
         """
         d, q = _currents(i_d, i_q)
         found = (self._surfaces if self.monotone_inside else self.inverted).slopes(d, q)
-        wrong = ~definite(found) & self.inside(d, q)
+        wrong = ~positive_definite(found) & self.inside(d, q)
         if wrong.any():
             raise CoverageError(
                 f"The incremental inductances are not positive at {int(wrong.sum())} of {wrong.size} currents, even "
@@ -332,11 +326,6 @@ class MachineModel:
                 "gains follow from this map; record it again or leave its outliers out."
             )
         return found
-
-    @property
-    def least_inductance(self) -> float:
-        """The smallest incremental inductance, in any direction, within i_max where there are data, H."""
-        return self.inductance_range[0]
 
     @cached_property
     def inductance_range(self) -> tuple[float, float]:
@@ -365,7 +354,7 @@ class MachineModel:
             samples = whole.psi(np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1))
             surfaces = Surfaces.over(i_d, i_q, samples[..., 0], samples[..., 1])
             i_d, i_q = halved(i_d), halved(i_q)
-            if definite(surfaces.slopes(*np.meshgrid(i_d, i_q, indexing="ij"))).all():
+            if positive_definite(surfaces.slopes(*np.meshgrid(i_d, i_q, indexing="ij"))).all():
                 break
         return surfaces
 
@@ -380,7 +369,7 @@ class MachineModel:
         found, grid = self.flux_map, self.flux_map.grid()
         nearest = np.moveaxis(self.inverted.values(grid[..., 0], grid[..., 1]), -1, 0)
         there = replace(found, psi_d=nearest[0], psi_q=nearest[1])
-        whole = replace(self, flux_map=there, own=self.inverted, everywhere=self.inverted)
+        whole = replace(self, flux_map=there, everywhere=self.inverted)
         if not self.monotone_inside:
             return whole
         away = np.stack([found.psi_d, found.psi_q]) - nearest
@@ -404,26 +393,17 @@ class MachineModel:
             f"at i_d = {d[k]:.3g} A, i_q = {q[k]:.3g} A, which no machine does."
         )
 
-    @cached_property
+    @property
     def _surfaces(self) -> Surfaces:
-        if self.everywhere is not None:
-            return self.everywhere
-        found = self.flux_map
-        return Surfaces.around(self.own, found.inside, found.i_d, found.i_q, (found.psi_d, found.psi_q))
+        return self.everywhere or self.flux_map.surfaces
 
 
 def folded(result: Result) -> str:
     """Return the sentence on where the map of a result folds; empty where it does not, or is too small to tell."""
-    if not result.origin.turning or result.enclosed.flux_map.inside.sum() < _FEWEST:
+    if not result.origin.turning or result.flux_map.known.sum() < _FEWEST:
         return ""
     model = MachineModel.of(result)
     return "" if model.monotone_inside else f"{model.fold} {_CONSEQUENCE}"
-
-
-def definite(slopes: FloatArray) -> BoolArray:
-    """Tell which matrices (..., 2, 2) have a positive definite symmetric part."""
-    cross = 0.5 * (slopes[..., 0, 1] + slopes[..., 1, 0])
-    return np.asarray((slopes[..., 0, 0] > 0) & (slopes[..., 0, 0] * slopes[..., 1, 1] > cross**2))
 
 
 def halved(axis: FloatArray, cells: BoolArray | None = None) -> FloatArray:

@@ -53,9 +53,7 @@ class CurrentMaps:
     ki: float
 
     @classmethod
-    def of(
-        cls, model: MachineModel, ripple: TorqueRipple, i_d: FloatArray, i_q: FloatArray, bandwidth: float
-    ) -> CurrentMaps:
+    def of(cls, model: MachineModel, i_d: FloatArray, i_q: FloatArray, bandwidth: float) -> CurrentMaps:
         """Evaluate on a grid of currents, A, with controllers for a bandwidth, Hz.
 
         The controllers cancel the pole of each axis: kp = 2 pi f L and ki = 2 pi f R, with the incremental inductance
@@ -75,7 +73,7 @@ class CurrentMaps:
             psi_q=psi_q,
             torque=model.torque(d, q),
             sigma_torque=model.sigma_torque(d, q),
-            ripple=ripple.peak_to_peak(d, q),
+            ripple=TorqueRipple.of(model).peak_to_peak(d, q),
             inductances=inductances,
             sigma_inductances=model.sigma_inductances(d, q),
             apparent_d=apparent_d,

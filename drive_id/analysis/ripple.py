@@ -12,9 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drive_id.analysis.machine import MachineModel
-from drive_id.analysis.surfaces import Surfaces
-from drive_id.core.maps.continuation import LongerGrid
-from drive_id.core.result.identification import FluxMap, HarmonicMap
+from drive_id.core.maps.surfaces import Surfaces
 from drive_id.types import FloatArray
 
 _NODES = 12  # of Gauss-Legendre's rule from zero current to each point
@@ -31,19 +29,15 @@ class TorqueRipple:
     sines: tuple[Surfaces, ...]  # likewise
 
     @classmethod
-    def of(cls, model: MachineModel, found: FluxMap, harmonics: tuple[HarmonicMap, ...], reach: float) -> TorqueRipple:
-        """Build it from the harmonics on the grid of a map, continued to ``reach`` (A) with vanishing slopes."""
-        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, reach)
-
-        def surfaces(d: FloatArray, q: FloatArray) -> Surfaces:
-            whole = longer.whole(np.stack([d, q]))
-            return Surfaces.over(longer.i_d, longer.i_q, whole[0], whole[1])
-
+    def of(cls, model: MachineModel) -> TorqueRipple:
+        """Build it from the harmonics of the model's map."""
+        found = model.flux_map
+        axes, waves = (found.i_d, found.i_q), found.harmonics
         return cls(
             model,
-            tuple(harmonic.order for harmonic in harmonics),
-            tuple(surfaces(harmonic.psi_d_cos, harmonic.psi_q_cos) for harmonic in harmonics),
-            tuple(surfaces(harmonic.psi_d_sin, harmonic.psi_q_sin) for harmonic in harmonics),
+            tuple(wave.order for wave in waves),
+            tuple(Surfaces.over(*axes, wave.psi_d_cos, wave.psi_q_cos) for wave in waves),
+            tuple(Surfaces.over(*axes, wave.psi_d_sin, wave.psi_q_sin) for wave in waves),
         )
 
     def amplitudes(self, i_d: FloatArray, i_q: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -244,11 +244,9 @@ def _stator_flux(result: Result, windows: Windows) -> tuple[ComplexArray, BoolAr
         psi_d, psi_q = found.psi_dq(*np.moveaxis(i_dq, -1, 0))
         e_dq = windows.speed[..., None] * np.stack([-psi_q, psi_d], axis=-1)
         i_dq = i_dq - iron.current(e_dq, windows.speed)
-    d, q = np.moveaxis(i_dq, -1, 0)
-    psi_d, psi_q = found.psi_dq(d, q)
-    ripple = found.ripple(result.harmonics, i_dq, windows.angle)
-    psi = psi_d + ripple[..., 0] + 1j * (psi_q + ripple[..., 1])
-    return psi * np.exp(1j * windows.angle), np.asarray(np.isfinite(psi).all(axis=1))
+    known = np.isfinite(found.psi_dq(*np.moveaxis(i_dq, -1, 0))[0]).all(axis=1)
+    psi = found.flux(i_dq, windows.angle) @ np.array([1, 1j])
+    return psi * np.exp(1j * windows.angle), np.asarray(known)
 
 
 def _drop(result: Result, shapes: CapacitiveShapes, windows: Windows) -> ComplexArray:

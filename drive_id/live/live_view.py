@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from drive_id.core.result.identification import FluxMap
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.origins import ORIGINS
 from drive_id.quantity import plain, scaled_unit
 

@@ -17,7 +17,7 @@ from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
-from drive_id.core.result.identification import FluxMap
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.quantity import scaled_unit
 from drive_id.types import BoolArray, FloatArray, IntArray
 
@@ -48,7 +48,7 @@ class Disc:
         self.axis = np.linspace(-i_max, i_max, _FINE)
         i_d, i_q = np.meshgrid(self.axis, self.axis, indexing="ij")
         self.radius = np.hypot(i_d, i_q)
-        inside = flux_map.inside if flux_map.enclosed is None else flux_map.inside | flux_map.enclosed
+        inside = flux_map.known
         self.known: BoolArray = inside & (np.hypot(flux_map.i_d[:, None], flux_map.i_q) <= i_max)
         cell = max(float(np.diff(axis).max()) for axis in (flux_map.i_d, flux_map.i_q))
         # The last cell at the rim counts as the one before it: nodes there stand for half a cell only.

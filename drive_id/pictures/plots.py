@@ -10,8 +10,9 @@ from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.diagnostics import thinned_trajectory
-from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.pictures.caption import NO_CAPTION, Caption
 from drive_id.pictures.diagnostics import draw_diagnostics

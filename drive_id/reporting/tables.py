@@ -49,7 +49,7 @@ def fit_table(fit: Result, *, verbose: bool = False) -> Table:
             state = "" if found.applied else " (not corrected)"
             row(f"{found.name.replace('_', ' ')}{state}", fit.told(found.value, found.sigma, found.unit))
     if origin.harmonics:
-        row("Rotor-position harmonics", ", ".join(str(harmonic.order) for harmonic in drive.harmonics) or "none")
+        row("Rotor-position harmonics", ", ".join(str(h.order) for h in drive.flux_map.harmonics) or "none")
     table.add_section()
     of_shaft = _torque_rows(drive.torque) if drive.torque else []
     for cells in (*of_shaft, *(shaft_rows(drive.mechanics) if drive.mechanics else ())):

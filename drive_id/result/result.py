@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.headline import headline
-from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results
 from drive_id.messages import Message
@@ -30,8 +31,9 @@ if TYPE_CHECKING:
 
     from drive_id.core.accumulation.evidence import Evidence
     from drive_id.core.full.effects.effect import Calibration
+    from drive_id.core.maps.flux_map import HarmonicMap
     from drive_id.core.result.diagnostics import Diagnostics
-    from drive_id.core.result.identification import HarmonicMap, LinearMachine, Mechanics, TorqueFit
+    from drive_id.core.result.identification import LinearMachine, Mechanics, TorqueFit
 
 _MARGIN = 1.25
 """Reach of a machine map, in i_max: a simulated current overshoots its reference."""
@@ -154,19 +156,10 @@ class Result:
         """Flux linkages, incremental inductances and standard errors at any current that samples at least enclose."""
         return self.drive.answering
 
-    @cached_property
-    def enclosed(self) -> Self:
-        """The result whose map counts as inside also where samples only enclose the current."""
-        found = self.flux_map
-        if found.enclosed is None:
-            return self
-        wider = replace(found, inside=found.inside | found.enclosed, enclosed=None)
-        return replace(self, drive=replace(self.drive, flux_map=wider))
-
     @property
     def harmonics(self) -> tuple[HarmonicMap, ...]:
         """Rotor-position harmonics of the flux linkages; method ``full``."""
-        return self.drive.harmonics
+        return self.drive.flux_map.harmonics
 
     @property
     def calibrations(self) -> tuple[Calibration, ...]:
@@ -346,18 +339,16 @@ class Result:
             )
         from drive_id.core.maps.continuation import LongerGrid  # noqa: PLC0415  # a fit needs no scipy
 
-        found = self.enclosed.flux_map
-        longer = LongerGrid.around(found.i_d, found.i_q, found.inside, _MARGIN * self.i_max)
-        whole = longer.whole
-        psi_d, psi_q = longer.flux(found.psi_d, 0), longer.flux(found.psi_q, 1)
+        longer = LongerGrid.around(self.flux_map.whole, _MARGIN * self.i_max).flux_map()
+        psi_d, psi_q = longer.psi_d, longer.psi_q
         theta, ripple_d, ripple_q = None, None, None
         if self.harmonics:
             theta = _angles([harmonic.order for harmonic in self.harmonics])
             ripple_d, ripple_q = (np.repeat(psi[..., None], len(theta), -1) for psi in (psi_d, psi_q))
-            for h in self.harmonics:
+            for h in longer.harmonics:
                 cosine, sine = np.cos(h.order * theta), np.sin(h.order * theta)
-                ripple_d += whole(h.psi_d_cos)[..., None] * cosine + whole(h.psi_d_sin)[..., None] * sine
-                ripple_q += whole(h.psi_q_cos)[..., None] * cosine + whole(h.psi_q_sin)[..., None] * sine
+                ripple_d += h.psi_d_cos[..., None] * cosine + h.psi_d_sin[..., None] * sine
+                ripple_q += h.psi_q_cos[..., None] * cosine + h.psi_q_sin[..., None] * sine
         enough = math.sqrt(3) * float(np.hypot(psi_d, psi_q).max()) * _ENOUGH_SPEED * math.pi / 30 * pairs
         return MachineMap(
             name=self.machine or "identified",

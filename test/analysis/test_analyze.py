@@ -18,7 +18,7 @@ from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.cli import app as cli
-from drive_id.core.result.identification import HarmonicMap
+from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.errors import ConfigurationError, DataError, OutputError, ResultError
 
 SMALL = drive_id.AnalysisSettings(current_points=5, torque_points=2, speed_points=4)
@@ -149,9 +149,9 @@ def test_the_tables_keep_the_limits_and_give_their_torque(folder):
     assert (found["inside"] == 1).all()
 
 
-def test_the_ripple_is_that_of_the_co_energy(analysis, result):
+def test_the_ripple_is_that_of_the_co_energy(analysis):
     theta = np.linspace(0, 2 * np.pi, 720, endpoint=False)
-    ripple = TorqueRipple.of(analysis.model, result.flux_map, result.harmonics, 45.0)
+    ripple = TorqueRipple.of(analysis.model)
     for i_d, i_q in ((-12.0, 25.0), (9.0, -17.0), (-30.0, -5.0)):
         step = 1e-5
         change = [
@@ -164,7 +164,7 @@ def test_the_ripple_is_that_of_the_co_energy(analysis, result):
         found = ripple.over_angle(np.array(i_d), np.array(i_q), theta)
         np.testing.assert_allclose(found, varying, atol=0.01 * np.abs(varying).max())
         assert ripple.peak_to_peak(np.array(i_d), np.array(i_q)) == pytest.approx(np.ptp(varying), rel=0.02)
-    maps = CurrentMaps.of(analysis.model, ripple, np.array([-12.0, 3.0]), np.array([25.0, 1.0, 2.0]), 500.0)
+    maps = CurrentMaps.of(analysis.model, np.array([-12.0, 3.0]), np.array([25.0, 1.0, 2.0]), 500.0)
     assert maps.ripple[0, 0] == pytest.approx(ripple.peak_to_peak(np.array(-12.0), np.array(25.0)))
 
 

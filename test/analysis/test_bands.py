@@ -183,7 +183,7 @@ def test_what_samples_only_enclose_is_known_by_its_error(erring):
     np.testing.assert_array_equal(holed.flux_map.inductances(0.5, 1.0), found.inductances(0.5, 1.0))
     assert not holed.flux_map.inside[hole].any(), "which tells where samples are"
     assert np.isnan(holed.flux_map.psi_dq(9.0 * erring.i_max, 0.0)[0])
-    assert erring.enclosed is erring
+    assert erring.flux_map.whole is erring.flux_map
     model, whole = MachineModel.of(holed), MachineModel.of(erring)
     i_d, i_q = np.array([0.0, -2.0, 1.0]), np.array([0.5, 2.0, -3.0])
     assert model.inside(i_d, i_q).all()

@@ -7,10 +7,11 @@ import pytest
 from exact_results import exact_result
 from flashed_machines import folding, within
 
-from drive_id.analysis.machine import IronLoss, MachineModel, definite
+from drive_id.analysis.machine import IronLoss, MachineModel
 from drive_id.analysis.operation import Operation
 from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.core.full.effects.effect import Calibration
+from drive_id.core.maps.flux_models import positive_definite
 from drive_id.errors import ConfigurationError
 from drive_id.messages import Message
 from drive_id.types import MachineMap
@@ -243,4 +244,4 @@ def test_a_map_for_simulation_is_monotone_between_the_points_of_a_coarse_grid_to
     model = MachineModel.of(within(folding(2.0, 0.2)))
     assert not model.monotone_inside
     i_d, i_q = np.meshgrid(*[np.linspace(-1.0, 1.0, 201) * model.i_max] * 2, indexing="ij")
-    assert definite(model.rising.inductances(i_d, i_q)).all()
+    assert positive_definite(model.rising.inductances(i_d, i_q)).all()

@@ -40,7 +40,7 @@ def figures(found, limits=LIMITS):
 
 def with_map(result, psi_d):
     flux_map = replace(result.flux_map, psi_d=psi_d)
-    return replace(result, drive=replace(result.drive, flux_map=flux_map, model=None))
+    return replace(result, drive=replace(result.drive, flux_map=flux_map))
 
 
 @pytest.mark.accuracy

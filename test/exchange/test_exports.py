@@ -15,7 +15,7 @@ from scipy.interpolate import RegularGridInterpolator
 from scipy.io import loadmat, netcdf_file
 from steady_state import disc_points
 
-from drive_id.core.result.identification import HarmonicMap
+from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.errors import ConfigurationError, CoverageError, OutputError
 from drive_id.exchange.exports.exporting import content_of, export_map
 from drive_id.exchange.exports.formats import EXPORTS, ExportFormat, export_format
@@ -177,7 +177,8 @@ def test_simscape_over_the_rotor_angle():
 
 def test_simscape_refuses_harmonics_that_its_angle_cannot_hold():
     drive = turning(amplitude=0.02)
-    odd = replace(drive, drive=replace(drive.drive, harmonics=(replace(drive.harmonics[0], order=2),)))
+    flux_map = replace(drive.drive.flux_map, harmonics=(replace(drive.harmonics[0], order=2),))
+    odd = replace(drive, drive=replace(drive.drive, flux_map=flux_map))
     with pytest.raises(ConfigurationError, match="order 2 does not repeat after 120 degrees"):
         content("simscape", SYMMETRIC, odd)
 

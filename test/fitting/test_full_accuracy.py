@@ -70,7 +70,7 @@ def test_one_drive_of_each_family(name):
     truth = machine_map(name)
     assert found.resistance == pytest.approx(truth.resistance, abs=3 * found.sigma_resistance)
     assert found.resistance == pytest.approx(truth.resistance, rel=0.02)
-    assert [harmonic.order for harmonic in found.harmonics] == [6, 12]
+    assert [harmonic.order for harmonic in found.flux_map.harmonics] == [6, 12]
     assert found.report.warnings == ()
     judged = {"voltage_delay", "resolver_offset", "current_offset_alpha", "current_gain_mismatch_alpha"}
     assert judged <= {entry.name for entry in found.calibrations}
@@ -109,7 +109,7 @@ def test_with_harmonics_and_an_inverter_full_is_twenty_times_better_than_joint()
     assert np.sqrt(np.mean((full.inverter_voltage - true_drop) ** 2)) < 0.02 * true_drop.max()
     assert 3 * full.report.mad_d < joint.report.mad_d
     assert 3 * full.report.mad_q < joint.report.mad_q
-    assert [harmonic.order for harmonic in full.harmonics] == [6, 12]
+    assert [harmonic.order for harmonic in full.flux_map.harmonics] == [6, 12]
     assert full.report.warnings == ()
 
 
@@ -132,7 +132,7 @@ def test_with_everything_ideal_a_hundredth_of_a_percent_is_left():
     assert full_errors.max() < 0.01
     assert found.resistance == pytest.approx(simulation.truth.resistance, rel=1e-3)
     assert np.abs(found.inverter_voltage).max() < 0.01
-    assert found.harmonics == ()
+    assert found.flux_map.harmonics == ()
 
 
 def test_an_asymmetric_machine_refuses_the_calibration_of_the_angle():

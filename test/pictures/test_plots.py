@@ -18,7 +18,7 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 
 from drive_id.core.full.effects.effect import Calibration
-from drive_id.core.result.identification import HarmonicMap
+from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.errors import ConfigurationError
 from drive_id.messages import Message
 from drive_id.pictures.caption import Caption
@@ -333,7 +333,7 @@ def degenerate(drive):
     nan, zero, few = np.full_like(flux_map.psi_d, np.nan), np.zeros_like(flux_map.psi_d), np.linspace(-300.0, 300.0, 4)
     square, none = np.ones((4, 4)), 0 * drive.inverter_voltage
     many = 10.0 ** np.linspace(-9, 3, nan.size).reshape(nan.shape)
-    wild = np.where(flux_map.inside, flux_map.psi_d, 1e300)
+    wild = np.where(flux_map.inside, flux_map.psi_d, 1e100)
     coarse = replace(
         flux_map, i_d=few, i_q=few, psi_d=few[:, None] * square, psi_q=few * square, sigma_d=square, sigma_q=square,
         inside=square > 0,
@@ -413,7 +413,9 @@ def test_the_residual_shows_the_harmonics_that_joint_lacks(diagnostics, drive, e
     assert np.all(rms >= np.abs(mean))
     amplitude = 1e-3
     wave = HarmonicMap(6, *(np.full_like(drive.flux_map.psi_d, value) for value in (amplitude, 0.0, 0.0, 0.0)))
-    _, other, _ = curves(draw_diagnostics(replace(drive, harmonics=(wave,)), excerpts))
+    _, other, _ = curves(
+        draw_diagnostics(replace(drive, flux_map=replace(drive.flux_map, harmonics=(wave,))), excerpts)
+    )
     speed = excerpts[0].speed.mean()
     np.testing.assert_allclose((mean - other)[:, 0], -6 * speed * amplitude * np.sin(6 * angle), atol=0.03)
     np.testing.assert_allclose((mean - other)[:, 1], speed * amplitude * np.cos(6 * angle), atol=0.03)

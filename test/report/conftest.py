@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drive_id.core.full.effects.effect import Calibration
-from drive_id.core.result.identification import HarmonicMap
+from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.messages import Message
 
 
@@ -22,7 +22,7 @@ def full_like(fitted):
     more = replace(
         drive,
         method="full",
-        harmonics=(HarmonicMap(6, *parts),),
+        flux_map=replace(drive.flux_map, harmonics=(HarmonicMap(6, *parts),)),
         calibrations=(
             Calibration(
                 "resolver_offset",

@@ -17,7 +17,7 @@ from result_folder import forget_digests
 import drive_id
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.effects.effect import Calibration
-from drive_id.core.result.identification import FluxMap
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.errors import ConfigurationError, OutputError, ResultError
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
@@ -342,7 +342,7 @@ def test_losses_are_those_of_winding_and_iron_by_hand(fitted):
     entry = Calibration("iron_loss_conductance", 0.01, 1e-3, "S", applied=True, message=Message("region.whole"))
     losing = replace(fitted, drive=replace(fitted.drive, calibrations=(entry,)))
     with_iron = torque_map(losing)
-    found, flux_map = with_iron.losses, losing.enclosed.flux_map
+    found, flux_map = with_iron.losses, losing.flux_map.whole
     d, q = (int(np.abs(axis - at).argmin()) for axis, at in ((flux_map.i_d, -100.0), (flux_map.i_q, 100.0)))
     i_d, i_q = flux_map.i_d[d], flux_map.i_q[q]
     psi = np.hypot(flux_map.psi_d[d, q], flux_map.psi_q[d, q])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from exchange_machine import AT, I_D, I_MAX, I_Q, PAIRS, flux, grids, result
 
-from drive_id.core.result.identification import FluxMap
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.errors import CoverageError
 from drive_id.pictures.picture import rendered
 from drive_id.reporting.difference import difference_table, draw_difference

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
 from drive_id.types import BoolArray, FloatArray
 
 REACH = 6.0
@@ -16,7 +19,7 @@ REACH = 6.0
 
 
 def continued(
-    values: FloatArray, known: BoolArray, axes: tuple[FloatArray, FloatArray], slopes: tuple[float, float]
+    values: FloatArray, known: BoolArray, axes: tuple[FloatArray, FloatArray], slopes: ArrayLike
 ) -> FloatArray:
     """Continue values on a grid where they are not known: smoothly, with slopes that soon tend to given ones.
 
@@ -27,8 +30,8 @@ def continued(
     known : (D, Q) bool
         At least one.
     axes : ((D,), (Q,)) of float
-    slopes : (float, float)
-        Along both axes.
+    slopes : (2,) or (K, 2) float
+        Along both axes, for all arrays or for each.
 
     Returns
     -------
@@ -36,7 +39,8 @@ def continued(
         The known values, and around them those whose distances r from a plane of the given slopes minimize the sum of
         squared second differences of r plus its squared first differences over the square of :data:`REACH`.
     """
-    plane = slopes[0] * axes[0][:, None] + slopes[1] * axes[1]
+    along_both = np.asarray(slopes)[..., None, None]
+    plane = along_both[..., 0, :, :] * axes[0][:, None] + along_both[..., 1, :, :] * axes[1]
     operators = []
     for order, weight in ((1, 1 / REACH), (2, 1.0)):
         for axis, count in enumerate(known.shape):
@@ -57,39 +61,42 @@ def continued(
 class LongerGrid:
     """A grid that contains that of a map and reaches farther."""
 
+    found: FluxMap
     i_d: FloatArray  # (D,), A
     i_q: FloatArray  # (Q,), A
     known: BoolArray  # (D, Q), where the map has data
     places: tuple[slice, slice]  # where its own grid lies
 
     @classmethod
-    def around(cls, i_d: FloatArray, i_q: FloatArray, inside: BoolArray, reach: float) -> LongerGrid:
-        """Add points of the same mean step until both axes cover -reach to reach, A."""
-        longer = [_reaching(axis, reach) for axis in (i_d, i_q)]
-        starts = [int(np.searchsorted(axis, own[0])) for axis, own in zip(longer, (i_d, i_q), strict=True)]
-        places = (slice(starts[0], starts[0] + len(i_d)), slice(starts[1], starts[1] + len(i_q)))
+    def around(cls, found: FluxMap, reach: float = 0.0) -> LongerGrid:
+        """Add points of the same mean step until both axes of a map cover -reach to reach, A."""
+        own = found.i_d, found.i_q
+        longer = [_reaching(axis, reach) for axis in own]
+        starts = [int(np.searchsorted(axis, part[0])) for axis, part in zip(longer, own, strict=True)]
+        places = slice(starts[0], starts[0] + len(own[0])), slice(starts[1], starts[1] + len(own[1]))
         known = np.zeros((len(longer[0]), len(longer[1])), np.bool_)
-        known[places] = inside
-        return cls(longer[0], longer[1], known, places)
+        known[places] = found.inside
+        return cls(found, longer[0], longer[1], known, places)
 
-    def whole(self, values: FloatArray, slopes: tuple[float, float] = (0.0, 0.0)) -> FloatArray:
+    def whole(self, values: FloatArray, slopes: ArrayLike = (0.0, 0.0)) -> FloatArray:
         """Return values (..., d, q) on the own grid, continued to this one (..., D, Q), see :func:`continued`."""
         placed = np.zeros((*values.shape[:-2], *self.known.shape))
         placed[..., self.places[0], self.places[1]] = values
         return continued(placed, self.known, (self.i_d, self.i_q), slopes)
 
-    def flux(self, psi: FloatArray, axis: int) -> FloatArray:
-        """Return psi_d (axis 0) or psi_q (axis 1) likewise, Wb, with its typical slope along its own current."""
-        current = (self.i_d, self.i_q)[axis][self.places[axis]]
-        slope = _typical_slope(psi, current, self.known[self.places], axis)
-        return self.whole(psi, (0.0, slope) if axis else (slope, 0.0))
-
-
-def _typical_slope(psi: FloatArray, current: FloatArray, inside: BoolArray, axis: int) -> float:
-    """Return the median slope of a flux (D, Q), Wb, along an axis with currents, A, where there are data, H."""
-    both = np.take(inside, range(1, len(current)), axis) & np.take(inside, range(len(current) - 1), axis)
-    steps = np.diff(current)[:, None] if axis == 0 else np.diff(current)
-    return float(np.median((np.diff(psi, axis=axis) / steps)[both]))
+    def flux_map(self) -> FluxMap:
+        """Return the map likewise, each flux with its typical slope along its own current; further errors are NaN."""
+        found = self.found
+        sigma = np.full((*self.known.shape, 2), np.nan)
+        sigma[self.places] = found.sigmas
+        waves = [x for h in found.harmonics for x in (h.psi_d_cos, h.psi_d_sin, h.psi_q_cos, h.psi_q_sin)]
+        slopes = np.zeros((2 + len(waves), 2))
+        slopes[:2] = np.diag(found.typical_inductances)
+        psi_d, psi_q, *waves = self.whole(np.stack([found.psi_d, found.psi_q, *waves]), slopes)
+        parts = iter(waves)
+        harmonics = tuple(HarmonicMap(h.order, *islice(parts, 4)) for h in found.harmonics)
+        psi = np.stack([psi_d, psi_q], axis=-1)
+        return replace(FluxMap.of(self.i_d, self.i_q, psi, sigma, self.known, harmonics), inner=found)
 
 
 def _reaching(axis: FloatArray, reach: float) -> FloatArray:

@@ -16,7 +16,6 @@ from scipy import sparse
 from drive_id.core.numerics import bspline
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.compiled import compiled
-from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.types import BoolArray, FloatArray
 
 ColumnArray = NDArray[np.int32]
@@ -187,62 +186,3 @@ class Polynomial(FluxModel):
     def contains(self, i_dq: FloatArray) -> BoolArray:
         """Tell (N,) that a polynomial is defined everywhere."""
         return np.ones(len(i_dq), np.bool_)
-
-
-def as_tensor_spline(model: FluxModel, gamma: FloatArray, d: Axis, q: Axis) -> tuple[TensorSpline, FloatArray]:
-    """Return a map with parameters (P,), Wb, interpolated by tensor splines: their model and their parameters."""
-    psi = model.rows(sites(d, q).reshape(-1, 2)).dot(gamma).reshape(d.count, q.count, 2)
-    return TensorSpline(d, q), fitted(psi, d, q)
-
-
-def sites(d: Axis, q: Axis, density: int = 1) -> FloatArray:
-    """Return equally spaced currents, ``density`` per spline along each axis: (density d.count, ..., 2), A."""
-    points = [np.linspace(axis.low, axis.high, density * axis.count) for axis in (d, q)]
-    return np.stack(np.meshgrid(*points, indexing="ij"), axis=-1)
-
-
-@one_blas_thread()
-def fitted(psi: FloatArray, d: Axis, q: Axis) -> FloatArray:
-    """Return the parameters (2 * d.count * q.count,) of the least-squares tensor spline through psi_dq at sites, Wb."""
-    matrices = [
-        axis.collocation(np.linspace(axis.low, axis.high, count))
-        for axis, count in zip((d, q), psi.shape[:2], strict=True)
-    ]
-    inverse_d, inverse_q = (np.linalg.pinv(matrix) for matrix in matrices)
-    return np.asarray(np.einsum("ax,xyk,by->kab", inverse_d, psi, inverse_q, optimize=True).ravel())
-
-
-@one_blas_thread()
-def extend(model: TensorSpline, gamma: FloatArray, weak: BoolArray, inductances: tuple[float, float]) -> FloatArray:
-    """Replace coefficients that the data do not determine by a continuation with given slopes.
-
-    Functions that only noise at the rim reached have coefficients of many times the flux. They hardly matter within the
-    data, but a simulation whose current leaves the disc for a moment would meet them.
-
-    Parameters
-    ----------
-    gamma : (P,) float
-        Coefficients, Wb.
-    weak : (P,) bool
-        Coefficients that the data do not determine.
-    inductances : (float, float)
-        Slopes of psi_d over i_d and of psi_q over i_q, H; the cross slopes are zero.
-
-    Returns
-    -------
-    (P,) float
-        Coefficients, Wb; the steps between neighbours fit the slopes by least squares.
-    """
-    steps_d = np.kron(np.diff(np.eye(model.d.count), axis=0), np.eye(model.q.count))
-    steps_q = np.kron(np.eye(model.d.count), np.diff(np.eye(model.q.count), axis=0))
-    steps = np.concatenate([steps_d, steps_q])
-    slope_d, slope_q = inductances[0] * model.d.width, inductances[1] * model.q.width
-    wanted_d = np.repeat([slope_d, 0.0], [len(steps_d), len(steps_q)])
-    wanted_q = np.repeat([0.0, slope_q], [len(steps_d), len(steps_q)])
-    out: FloatArray = gamma.copy()
-    for flux, wanted in zip(np.split(np.arange(len(gamma)), 2), (wanted_d, wanted_q), strict=True):
-        free, fixed = weak[flux], ~weak[flux]
-        if free.any() and fixed.any():
-            target = wanted - steps[:, fixed] @ gamma[flux[fixed]]
-            out[flux[free]] = np.linalg.lstsq(steps[:, free], target, rcond=None)[0]
-    return out

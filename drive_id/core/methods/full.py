@@ -27,18 +27,15 @@ from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE, Windows
 from drive_id.core.maps.coverage import FLUX_CELLS, enclosed, smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
-from drive_id.core.maps.flux_models import BasisRows, TensorSpline, fitted, sites
-from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Limits, SimulationModel
+from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
+from drive_id.core.maps.flux_models import BasisRows
+from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Limits
 from drive_id.core.methods.parameters import FitReport
-from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import DataError
 from drive_id.messages import Message
 from drive_id.origins import ORIGINS
 from drive_id.types import TINY, BoolArray, FloatArray, Samples
 
-_FINE = 72  # splines per axis of the map for simulation and queries, at least
-_FINEST = 200  # the same, at most
-_DENSITY = 2  # points per spline that they fit
 _POINTS = 256
 """Points of the map per batch of standard errors."""
 _AVERAGED = 4
@@ -106,7 +103,6 @@ class FullMethod:
             sigma = _sigma(frame, grid, inside)
         current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         drops, deviation = _inverter(fit, current)
-        simulation = _simulation_model(evidence, frame, (current, drops.mean(axis=1)))
         unknowns = fit.solution.basis.shape[1]
         share = information.windows / (information.windows + information.outside)
         return Estimate(
@@ -116,12 +112,16 @@ class FullMethod:
             sigma_voltage_error=float(deviation[-1]),
             inverter_current=current,
             inverter_voltage=drops.mean(axis=1),
-            model=simulation.model,
-            gamma=simulation.gamma,
-            psi=psi,
-            sigma=sigma,
-            simulation=simulation,
-            positive_definite=fit.passive,
+            flux_map=FluxMap.of(
+                evidence.visits.i_d,
+                evidence.visits.i_q,
+                psi,
+                sigma,
+                inside,
+                tuple(HarmonicMap.of(order, *frame.harmonic(order, grid)) for order in fit.spec.orders),
+            ),
+            drop=(current, drops.mean(axis=1)),
+            effects=_effect_voltages(evidence, fit),
             report=FitReport(
                 samples_used=round((evidence.samples - evidence.idle) * share),
                 rows=2 * information.windows,
@@ -135,7 +135,6 @@ class FullMethod:
             warnings=warnings,
             sigma_inverter_voltage=deviation,
             phase_voltages=drops if fit.spec.per_phase else None,
-            harmonics=tuple((order, *frame.harmonic(order, grid)) for order in fit.spec.orders),
             calibrations=tuple(found),
             magnet_coefficient=_magnet_coefficient(fit),
             statements=(
@@ -276,22 +275,6 @@ def _by_residuals(fit: FullFit, rows: BasisRows, inside: BoolArray) -> FloatArra
     usual = around(white)
     sigma[inside] = both * np.sqrt(np.divide(around(consistent), usual, out=np.ones_like(usual), where=usual > 0))
     return sigma
-
-
-def _simulation_model(evidence: Evidence, frame: TrueFrame, drop: tuple[FloatArray, FloatArray]) -> SimulationModel:
-    """Return the maps as fine cubic splines: one form for simulation and queries, whatever they were fitted with."""
-    cells = frame.fit.model.resolution
-    counts = (
-        int(np.clip(2 * (edges[-1] - edges[0]) / np.diff(edges).min(), _FINE, _FINEST)) for edges in (cells.d, cells.q)
-    )
-    d, q = (Axis(axis.low, axis.high, count) for axis, count in zip((evidence.d, evidence.q), counts, strict=True))
-    places = sites(d, q, _DENSITY)
-    gamma = fitted(frame.flux(places), d, q)
-    harmonics = {}
-    for order in frame.fit.spec.orders:
-        cosine, sine = frame.harmonic(order, places)
-        harmonics[order] = (fitted(cosine, d, q), fitted(sine, d, q))
-    return SimulationModel(TensorSpline(d, q), gamma, harmonics, drop, _effect_voltages(evidence, frame.fit))
 
 
 def _effect_voltages(evidence: Evidence, fit: FullFit) -> EffectVoltages | None:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from drive_id.core.accumulation.evidence import Evidence
-from drive_id.core.maps.flux_models import TensorSpline
 from drive_id.core.methods.parameters import FitReport, Parameters
 from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
@@ -35,30 +34,17 @@ EffectVoltages = Callable[[Sequence[Samples]], tuple[list[FloatArray], bool]]
 some act over whole recordings and are left out for mere pieces."""
 
 
-@dataclass(frozen=True, eq=False)
-class SimulationModel:
-    """The identified drive as :func:`~drive_id.core.validation.current_simulation.simulate_current` takes it."""
-
-    model: TensorSpline
-    gamma: FloatArray  # (P,), parameters of the mean map, Wb
-    harmonics: Mapping[int, tuple[FloatArray, FloatArray]]  # order to cosine and sine, (P,) each, Wb
-    drop: tuple[FloatArray, FloatArray]  # (C,) each, equally spaced phase currents, A, and the inverter's drop there, V
-    effects: EffectVoltages | None = None  # what effects beside this model take
-
-
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate(Parameters):
-    """What a method finds: the parameters, the map on the grid of the visits, and how good they are."""
+    """What a method finds: the parameters, with the map on the grid of the visits, and how good they are."""
 
-    psi: FloatArray  # (D, Q, 2), on the grid of the visits, Wb
-    sigma: FloatArray  # (D, Q, 2), standard error, Wb; NaN where there are no data
-    simulation: SimulationModel
-    positive_definite: Callable[[FloatArray], BoolArray]  # (N,), of inductances at currents (N, 2), A
+    drop: tuple[FloatArray, FloatArray]
+    """Equally spaced phase currents (C,), A, and the inverter's drop there, V, for simulations."""
     report: FitReport  # as far as the method knows it
     unexplained: float  # rms residual over the rms of all integrated voltages
     outlying_time: float | None  # where samples stand out from all others, in time of data, s
     warnings: tuple[Message, ...]  # of this method only
-    harmonics: tuple[tuple[int, FloatArray, FloatArray], ...] = ()  # order, cosine and sine (D, Q, 2), Wb
+    effects: EffectVoltages | None = None  # what effects beside map, R and drop take
     fit: EarlierFit | None = None  # what a fit of further samples can take over; only of method full
 
 

@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
+from drive_id.core.maps.continuation import LongerGrid
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
-from drive_id.core.maps.flux_models import (
-    FluxModel,
-    TensorSpline,
-    as_tensor_spline,
-    extend,
-    jacobian,
-    positive_definite,
-)
-from drive_id.core.methods.method import CURVE_POINTS, Estimate, Limits, SimulationModel
+from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.maps.flux_models import FluxModel
+from drive_id.core.methods.method import CURVE_POINTS, Estimate, Limits
 from drive_id.core.methods.parameters import FitReport
-from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import RegressionSums
 from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.paper.solver import Jackknife, Solution, jackknife, sigma, solve
-from drive_id.core.validation.current_simulation import typical_inductances
 from drive_id.messages import Message
 from drive_id.origins import JOINT, PSM
 from drive_id.types import BoolArray, FloatArray
@@ -32,9 +25,6 @@ from drive_id.types import BoolArray, FloatArray
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
     from drive_id.core.full.fit import EarlierFit
 
-_MOST_COEFFICIENT = 4.0  # over the largest flux, beyond which those are replaced where all of a flux are uncertain
-_WEAK_COEFFICIENT = 0.1  # standard error over the largest flux from which on a coefficient is replaced by continuation
-_FINE_COUNT = 24  # splines per axis, at least, with which polynomials are simulated
 _AT_A_TIME = 512  # points of the map, which bounds the memory of dense rows
 _TANH_REACH = 10.0  # i_s to both sides over which the drop is simulated as a curve: 1 - tanh(10) is 4e-9
 _TANH_POINTS = 4001  # of it: linear pieces of 0.005 i_s are off by less than 3e-6 u_e
@@ -64,11 +54,10 @@ class PaperMethod:
         solution = solve(total, information.rows, with_inverter=self.inverter)
         spread = jackknife(blocks, solution)
         grid = evidence.visits.grid()
-        spline, gamma = _extended(evidence, solution, spread, grid[inside])
-        psi = spline.rows(grid.reshape(-1, 2)).dot(gamma).reshape(grid.shape)
+        psi, error = np.zeros(grid.shape), np.full(grid.shape, np.nan)
         psi[inside] = model.rows(grid[inside]).dot(solution.gamma)
-        error = np.full(grid.shape, np.nan)
         error[inside] = _sigma(model, spread, grid[inside])
+        known = FluxMap.of(evidence.visits.i_d, evidence.visits.i_q, psi, error, inside)
         curve = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         tanh = np.linspace(-_TANH_REACH, _TANH_REACH, _TANH_POINTS)
         scale = evidence.settings.inverter_current_scale
@@ -80,12 +69,8 @@ class PaperMethod:
             sigma_voltage_error=sigma(spread.voltage_error),
             inverter_current=curve,
             inverter_voltage=solution.voltage_error * information.shape(curve),
-            model=model,
-            gamma=solution.gamma,
-            psi=psi,
-            sigma=error,
-            simulation=SimulationModel(spline, gamma, {}, (scale * tanh, solution.voltage_error * np.tanh(tanh))),
-            positive_definite=lambda i_dq: positive_definite(jacobian(model, solution.gamma, i_dq)),
+            flux_map=replace(LongerGrid.around(known).flux_map(), inner=None),
+            drop=(scale * tanh, solution.voltage_error * np.tanh(tanh)),
             report=FitReport(
                 samples_used=information.rows // 2,
                 rows=information.rows,
@@ -115,25 +100,6 @@ class PaperMethod:
 
 
 PAPER_METHODS = {origin.name: PaperMethod(origin.inverter) for origin in (PSM, JOINT)}
-
-
-def _extended(
-    evidence: Evidence, solution: Solution, spread: Jackknife, i_dq: FloatArray
-) -> tuple[TensorSpline, FloatArray]:
-    """Return the map as splines, continued with typical slopes beyond the data, which lie at currents (N, 2), A."""
-    model, gamma = evidence.information.model, solution.gamma
-    if not isinstance(model, TensorSpline):
-        finer = (Axis(axis.low, axis.high, max(axis.count, _FINE_COUNT)) for axis in (evidence.d, evidence.q))
-        spline, coefficients = as_tensor_spline(model, gamma, *finer)
-        weak = np.ones(len(coefficients), np.bool_)
-        weak[spline.rows(i_dq).column] = False
-        return spline, extend(spline, coefficients, weak, typical_inductances(spline, coefficients, i_dq))
-    largest = np.abs(model.rows(i_dq).dot(gamma)).max()
-    uncertain = (np.sqrt(np.sum(spread.gamma**2, axis=0)) > _WEAK_COEFFICIENT * largest) & spread.known
-    unseen, large = gamma == 0, np.abs(gamma) > _MOST_COEFFICIENT * largest
-    of_flux, rather = (np.reshape(unseen | weak, (2, -1)) for weak in (uncertain, uncertain & large))
-    weak = np.where(of_flux.all(axis=1, keepdims=True), rather, of_flux).ravel()  # something must remain to continue
-    return model, extend(model, gamma, weak, typical_inductances(model, gamma, i_dq))
 
 
 def _sigma(model: FluxModel, spread: Jackknife, i_dq: FloatArray) -> FloatArray:

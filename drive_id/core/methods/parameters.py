@@ -14,7 +14,7 @@ from drive_id.types import FloatArray, Samples
 if TYPE_CHECKING:  # a stored result is read without scipy
     from drive_id.core.full.effects.effect import Calibration
     from drive_id.core.maps.error_modes import ErrorModes
-    from drive_id.core.maps.flux_models import FluxModel
+    from drive_id.core.maps.flux_map import FluxMap
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class FitReport:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Parameters:
-    """Estimated parameters of a drive, but for the map on a grid."""
+    """What is estimated of a drive."""
 
     resistance: float  # the paper's R, which includes the linear part of the inverter's drop, ohm
     sigma_resistance: float  # its standard error, ohm; infinite when it cannot be estimated
@@ -46,9 +46,7 @@ class Parameters:
     sigma_voltage_error: float  # its standard error, V
     inverter_current: FloatArray  # (C,), A
     inverter_voltage: FloatArray  # (C,), drop of one phase at these currents, V
-    model: FluxModel | None = None
-    """With gamma, the flux map as the fine spline that the current is simulated with; None when read from files."""
-    gamma: FloatArray | None = None  # (P,), coefficients, Wb
+    flux_map: FluxMap
     sigma_inverter_voltage: FloatArray | None = None  # (C,), V, where it was estimated for each current
     phase_voltages: FloatArray | None = None  # (C, 3), drop of each phase, V, when each has a curve of its own
     calibrations: tuple[Calibration, ...] = ()  # sensor faults and effects of the drive

@@ -41,15 +41,6 @@ class Axis:
         """Width of a cell, A."""
         return (self.high - self.low) / (self.count - 3)
 
-    def collocation(self, points: FloatArray) -> FloatArray:
-        """Return the dense matrix (len(points), count) of all functions at points within the range."""
-        knots = self.low + self.width * np.arange(-3, self.count + 1, dtype=np.float64)
-        cell, values = np.empty(len(points), np.int64), np.empty((len(points), 4))
-        spline_values(points, knots, 3, cell, values)
-        found = np.zeros((len(points), self.count))
-        found[np.arange(len(points))[:, None], cell[:, None] + np.arange(4)] = values
-        return found
-
 
 @compiled("f8, f8, f8, i8")
 def locate(x: float, low: float, width: float, cells: int) -> tuple[int, float]:

@@ -14,7 +14,7 @@ from drive_id.core.checks.radius import check_radius
 from drive_id.core.methods.method import Estimate, Method
 from drive_id.core.methods.paper import PAPER_METHODS
 from drive_id.core.paper.rows import VOLTAGE
-from drive_id.core.result.identification import FluxMap, HarmonicMap, IdentifiedDrive
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.monotone_estimate import made_monotone
 from drive_id.core.result.warnings import because, condemned, review
 from drive_id.core.validation.current_simulation import simulate_current
@@ -22,7 +22,7 @@ from drive_id.core.validation.metrics import mean_absolute_deviation
 from drive_id.core.validation.simulated_current import SimulatedCurrent, simulated_current
 from drive_id.errors import DataError, UnexplainedError
 from drive_id.origins import ORIGINS
-from drive_id.types import BoolArray, Samples
+from drive_id.types import Samples
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
     from drive_id.core.full.fit import EarlierFit
@@ -62,15 +62,14 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
     if not estimate.unexplained <= method.limits.refused:
         raise UnexplainedError(because(evidence, "unexplained.fit", unexplained=estimate.unexplained))
     if evidence.settings.monotone:
-        estimate = made_monotone(evidence, estimate, inside)
-    flux_map = _flux_map(evidence, estimate, inside)
+        estimate = made_monotone(estimate)
     if earlier:
         known = earlier.drive.report
         mad, complete, simulated = (known.mad_d, known.mad_q), earlier.judged, earlier.drive.simulated
     else:
         mad, complete, simulated = _mad(validation, estimate)
     judged = mad if complete else (0.0, 0.0)
-    if impossible := condemned(evidence, estimate, flux_map, judged, method.limits):
+    if impossible := condemned(evidence, estimate, judged, method.limits):
         raise UnexplainedError(impossible)
     report = replace(
         estimate.report,
@@ -79,14 +78,12 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         mad_d=mad[0],
         mad_q=mad[1],
         coverage=coverage,
-        warnings=review(evidence, coverage, estimate, flux_map, judged, method.limits),
+        warnings=review(evidence, coverage, estimate, judged, method.limits),
     )
     drive = IdentifiedDrive(
         method=evidence.settings.method,
         i_max=evidence.i_max,
-        flux_map=flux_map,
         report=report,
-        harmonics=tuple(HarmonicMap(h, a[..., 0], b[..., 0], a[..., 1], b[..., 1]) for h, a, b in estimate.harmonics),
         simulated=simulated,
         **estimate.by_name(),
     )
@@ -101,11 +98,6 @@ def _method_named(name: str) -> Method:
     return PAPER_METHODS[name]
 
 
-def _flux_map(evidence: Evidence, estimate: Estimate, inside: BoolArray) -> FluxMap:
-    (psi_d, psi_q), (sigma_d, sigma_q) = (np.moveaxis(values, -1, 0) for values in (estimate.psi, estimate.sigma))
-    return FluxMap(evidence.visits.i_d, evidence.visits.i_q, psi_d, psi_q, sigma_d, sigma_q, inside)
-
-
 def _mad(
     validation: Sequence[Samples], estimate: Estimate
 ) -> tuple[tuple[float, float], bool, SimulatedCurrent | None]:
@@ -117,14 +109,10 @@ def _mad(
     if not validation:
         return (float("nan"), float("nan")), False, None
     pieces, complete = estimate.corrected(validation), True
-    known = estimate.simulation
-    if known.effects is not None:
-        voltages, complete = known.effects(validation)
+    if estimate.effects is not None:
+        voltages, complete = estimate.effects(validation)
         pieces = [replace(piece, u_abc=piece.u_abc - taken) for piece, taken in zip(pieces, voltages, strict=True)]
-    simulated = [
-        simulate_current(piece, known.model, known.gamma, known.harmonics, estimate.resistance, known.drop)
-        for piece in pieces
-    ]
+    simulated = [simulate_current(piece, estimate.flux_map, estimate.resistance, estimate.drop) for piece in pieces]
     measured = [frames.to_dq(piece.i_abc, piece.angle) for piece in pieces]
     mad = mean_absolute_deviation(np.concatenate(simulated), np.concatenate(measured))
     return mad, complete, simulated_current(pieces, simulated, measured)

@@ -112,13 +112,9 @@ def drive_residual(drive: IdentifiedDrive, excerpts: Sequence[Samples]) -> Resid
     """Return the residual voltage of samples, corrected for the sensor faults that were found."""
     drop = drive.phase_voltages
     curve = (drive.inverter_current, drive.inverter_voltage if drop is None else drop)
-
-    def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
-        return drive.flux(i_dq) + drive.flux_map.ripple(drive.harmonics, i_dq, angle)
-
     found, start = [], 0.0
     for part in drive.corrected(excerpts):
-        residual = residual_voltage(part, flux, drive.resistance, curve)
+        residual = residual_voltage(part, drive.flux_map.flux, drive.resistance, curve)
         found.append(residual._replace(time=start + residual.time))
         start += part.duration
     return Residual.joined(found)

@@ -55,10 +55,9 @@ def score(identification: IdentifiedDrive, truth: GroundTruth) -> tuple[float, f
     """Return the NRMSE of psi_d and psi_q at the map's points with data within the true disc, dimensionless."""
     flux_map = identification.flux_map
     grid = flux_map.grid()
-    chosen = grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= truth.i_max)]
-    true_psi = true_flux(truth, chosen)
-    known = np.isfinite(true_psi).all(axis=1)
-    return nrmse(identification.flux(chosen)[known], true_psi[known])
+    true_psi = true_flux(truth, grid)
+    known = flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= truth.i_max) & np.isfinite(true_psi).all(axis=-1)
+    return nrmse(flux_map.psi[known], true_psi[known])
 
 
 def _tell_share(tell: Progress, before: int, total: int, done: int) -> None:

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import SIGNIFICANT, BlockRegression, is_one
-from drive_id.core.result.identification import Cogging, FluxMap, HarmonicMap, IdentifiedDrive, Mechanics
+from drive_id.core.result.identification import Cogging, IdentifiedDrive, Mechanics
 from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
@@ -72,7 +73,7 @@ def with_mechanics(
     discs = settings.added_inertia
     if discs and len(discs) != len(excerpts):
         drive, discs = replace(drive, statements=(*drive.statements, Message("disc_unused"))), ()
-    known = settings.inertia, drive.error_modes, drive.harmonics
+    known = settings.inertia, drive.error_modes
     found = fit_mechanics(drive.flux_map, drive.corrected(excerpts), pole_pairs, discs, *known)
     if found is None:
         return drive
@@ -96,7 +97,6 @@ def fit_mechanics(
     discs: Sequence[float] = (),
     inertia: float | None = None,
     modes: ErrorModes | None = None,
-    harmonics: Sequence[HarmonicMap] = (),
 ) -> Mechanics | None:
     """Fit inertia, friction, load and cogging to the motion.
 
@@ -108,11 +108,7 @@ def fit_mechanics(
     # most shafts are held: no need to wait until scipy is loaded
     if _fitted(*known, lambda i_dq, _: flux_map.bilinear(i_dq), None, orders=()) is None:
         return None
-
-    def flux(i_dq: FloatArray, angle: FloatArray) -> FloatArray:
-        return flux_map.continued(i_dq) + flux_map.ripple(harmonics, i_dq, angle)
-
-    return _fitted(*known, flux, modes)
+    return _fitted(*known, flux_map.flux, modes)
 
 
 def _fitted(

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.origins import ORIGINS
 from drive_id.quantity import measured
+from drive_id.temperature import COPPER
 
-COPPER = 0.00393
-"""Relative change of a copper winding's resistance, 1/K, at 20 degC."""
 MAGNET = 0.001
 """Relative loss of a magnet's flux, 1/K: that of NdFeB."""
 _HEATING = 0.5

@@ -10,10 +10,11 @@ from scipy.spatial import cKDTree
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.maps.coverage import disc_coverage
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.maps.support import Support
 from drive_id.core.methods.method import CURVE_POINTS
 from drive_id.core.methods.parameters import FitReport
-from drive_id.core.result.identification import FluxMap, IdentifiedDrive, LinearMachine
+from drive_id.core.result.identification import IdentifiedDrive, LinearMachine
 from drive_id.core.steady.effects import DELAY, IRON_LOSS
 from drive_id.core.steady.fit import (
     DISTINCT,
@@ -85,7 +86,7 @@ def identify_static(points: OperatingPoints, settings: FitSettings) -> Identifie
         sigma_voltage_error=sigma_error,
         inverter_current=current,
         inverter_voltage=drop,
-        flux_map=FluxMap(axis, axis, psi[..., 0], psi[..., 1], sigma[..., 0], sigma[..., 1], inside),
+        flux_map=FluxMap.of(axis, axis, psi, sigma, inside),
         report=report,
         sigma_inverter_voltage=sigma_drop,
         calibrations=_calibrations(fit),

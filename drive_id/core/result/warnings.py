@@ -8,10 +8,11 @@ import numpy as np
 
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import radius_warnings
+from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.maps.flux_models import positive_definite
 from drive_id.core.methods.method import Estimate, Limits
-from drive_id.core.result.identification import FluxMap
 from drive_id.messages import Message
-from drive_id.types import FloatArray
+from drive_id.types import BoolArray
 
 _BY_NOISE = 3.0  # mean deviation of a simulation from noisy currents that it begins with: twice their noise was seen
 _REVERSED = 4.0
@@ -33,7 +34,6 @@ def review(
     evidence: Evidence,
     coverage: float,
     estimate: Estimate,
-    flux_map: FluxMap,
     mad: tuple[float, float],
     limits: Limits,
 ) -> tuple[Message, ...]:
@@ -47,15 +47,13 @@ def review(
         *radius_warnings(evidence, coverage),
         *_on_fit(estimate, limits),
         *_on_decimation(evidence, estimate),
-        *_on_map(evidence, estimate, flux_map, limits),
+        *_on_map(evidence, estimate, limits),
         *estimate.warnings,
         *_on_simulation(evidence, mad, limits),
     )
 
 
-def condemned(
-    evidence: Evidence, estimate: Estimate, flux_map: FluxMap, mad: tuple[float, float], limits: Limits
-) -> Message | None:
+def condemned(evidence: Evidence, estimate: Estimate, mad: tuple[float, float], limits: Limits) -> Message | None:
     """Return why no machine can have this result, or None."""
     if not limits.impossible:
         return None
@@ -66,10 +64,10 @@ def condemned(
     off = (c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations)
     if told and any(off):
         return because(evidence, "impossible_angle")
-    i_dq = _with_data(evidence, flux_map)
-    if not len(i_dq):
+    inside = _with_data(evidence, estimate.flux_map)
+    if not inside.any():
         return None
-    share = float((~estimate.positive_definite(i_dq)).mean())
+    share = float(_indefinite(estimate.flux_map, inside).mean())
     diverges = not np.isfinite(mad).all()
     if share < (_INDEFINITE if diverges else _INDEFINITE_IN_ITSELF):
         return None
@@ -82,10 +80,14 @@ def because(evidence: Evidence, code: str, **values: float) -> Message:
     return Message(code, "error", cause=cause and f"{cause[0].lower()}{cause[1:]}", **values)
 
 
-def _with_data(evidence: Evidence, flux_map: FluxMap) -> FloatArray:
-    """Return the currents (N, 2), A, of the map's points with data on the disc."""
-    grid = flux_map.grid()
-    return grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)]
+def _with_data(evidence: Evidence, flux_map: FluxMap) -> BoolArray:
+    """Tell (D, Q) which points of the map have data and lie on the disc."""
+    return flux_map.inside & (np.hypot(flux_map.i_d[:, None], flux_map.i_q) <= evidence.i_max)
+
+
+def _indefinite(flux_map: FluxMap, points: BoolArray) -> BoolArray:
+    """Tell (N,) at which of the points (D, Q) the inductances are not positive definite."""
+    return ~positive_definite(flux_map.inductances(*flux_map.grid()[points].T))
 
 
 def _on_fit(estimate: Estimate, limits: Limits) -> Iterator[Message]:
@@ -110,18 +112,20 @@ def _on_decimation(evidence: Evidence, estimate: Estimate) -> Iterator[Message]:
         yield Message("decimated.fit", delay=delay, early=-delay, turn=evidence.turn)
 
 
-def _on_map(evidence: Evidence, estimate: Estimate, flux_map: FluxMap, limits: Limits) -> Iterator[Message]:
-    i_dq = _with_data(evidence, flux_map)
-    if not len(i_dq):
+def _on_map(evidence: Evidence, estimate: Estimate, limits: Limits) -> Iterator[Message]:
+    flux_map = estimate.flux_map
+    inside = _with_data(evidence, flux_map)
+    if not inside.any():
         return
-    active = ~estimate.positive_definite(i_dq)
+    i_dq = flux_map.grid()[inside]
+    active = _indefinite(flux_map, inside)
     if active.mean() > _FEW_POINTS:
         d, q = i_dq[active].mean(axis=0)
         points = int(active.sum())
         yield Message("indefinite_inductances", points=points, of=len(i_dq), i_d=d, i_q=q, remedy=limits.remedy)
-    nearest = i_dq[np.hypot(*i_dq.T).argmin()]
-    magnet, sigma = (float(flux_map.sampled(x, *nearest)) for x in (flux_map.psi_d, flux_map.sigma_d))
-    least = max(_REVERSED * sigma, limits.reversed * np.abs(flux_map.bilinear(i_dq)).max())
+    centre = np.hypot(*i_dq.T).argmin()
+    nearest, magnet, sigma = (x[centre] for x in (i_dq, flux_map.psi_d[inside], flux_map.sigma_d[inside]))
+    least = max(_REVERSED * sigma, limits.reversed * np.abs(flux_map.psi[inside]).max())
     offset = any(finding.code == "angle_offset" for finding in evidence.findings)
     if not offset and magnet < -least:
         magnet -= float(nearest[0] * np.nan_to_num(flux_map.inductances(*nearest))[0, 0])  # flux of that current

@@ -12,14 +12,14 @@ so that Runge-Kutta's rule integrates only the small, slow loss; i follows from 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from drive_id.core import frames
-from drive_id.core.maps.flux_models import TensorSpline
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.numerics import bspline
 from drive_id.core.numerics.compiled import compiled
+from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.types import FloatArray, Samples
 
 _LARGEST_TURN = 0.3  # largest angle turned in one step, rad
@@ -31,6 +31,7 @@ _DAMPING = 0.1  # least, of a search that leads away, over the typical inductanc
 _SEARCH_STEPS = 20  # at most
 _SEARCH_TOLERANCE = 3e-6
 """Last change of a search over the current of divergence: the steps are Newton's, so the next one is its square."""
+_MOST_KNOTS = 200  # along an axis, which bounds the memory of finer maps
 _FOLDED = 0.1
 """Share of the typical Jacobian's determinant below which the search uses that one: it must not run to a far branch."""
 
@@ -45,9 +46,7 @@ _POWERS = np.array([[1.0, 4.0, 1.0, 0.0], [-3.0, 0.0, 3.0, 0.0], [3.0, -6.0, 3.0
 
 def simulate_current(
     samples: Samples,
-    model: TensorSpline,
-    gamma: FloatArray,
-    harmonics: Mapping[int, tuple[FloatArray, FloatArray]],
+    flux_map: FluxMap,
     resistance: float,
     drop: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
@@ -57,17 +56,13 @@ def simulate_current(
     voltage is held in the stator frame over each sample. The measured angle is smoothed, guided by the integral of the
     speed, because a step of the angle turns the whole flux and acts on the current at once. The current is the one
     whose flux is nearest: the same equation where the Jacobian D_f is regular, and bounded where it is singular, as it
-    can be in places of a fit that disregards the rotor harmonics. Beyond the model's range f_0 goes on with the typical
+    can be in places of a fit that disregards the rotor harmonics. Beyond the map's axes f_0 goes on with the typical
     inductances, and the harmonics stay as on its edge.
 
     Parameters
     ----------
-    model : TensorSpline
-        Of f_0 and of every harmonic.
-    gamma : (P,) float
-        Parameters of f_0, Wb.
-    harmonics : mapping of int to ((P,) float, (P,) float)
-        Electrical order h to the parameters of a_h and b_h, Wb; empty for methods ``psm`` and ``joint``.
+    flux_map : FluxMap
+        On equally spaced axes; without harmonics for methods ``psm`` and ``joint``.
     resistance : float
         Ohm.
     drop : (C,) float, (C,) float
@@ -81,33 +76,26 @@ def simulate_current(
     """
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
     u_s = frames.as_pairs(frames.space_vector(samples.u_abc))
-    largest = float(np.abs([model.d.low, model.d.high, model.q.low, model.q.high]).max())
-    inductances = typical_inductances(model, gamma, i_dq)
-    inductance = 0.5 * sum(inductances)
+    largest = float(max(np.abs(flux_map.i_d).max(), np.abs(flux_map.i_q).max()))
+    inductance = 0.5 * sum(flux_map.typical_inductances)
+    orders = np.array([h.order for h in flux_map.harmonics], np.float64)
     constants = np.array(
         [
             resistance,
             samples.sample_period,
-            max(1 / _LARGEST_TURN, max(harmonics, default=0) / _LARGEST_PHASE),
+            max(1 / _LARGEST_TURN, max(orders, default=0.0) / _LARGEST_PHASE),
             _BEND * abs(inductance) * largest,
             _DIVERGED * largest,
             (_DAMPING * inductance) ** 2,
         ]
     )
     curve = np.array([drop[0][0], drop[0][1] - drop[0][0], *drop[1]], np.float64)
-    axes, table = flux_table(model, [gamma, *(part for pair in harmonics.values() for part in pair)], inductances)
-    orders = np.array(list(harmonics), np.float64)
+    axes, table = flux_table(flux_map)
     out = np.full((len(i_dq), 2), np.nan)
     for run in samples.runs():
         angle = _smooth_angle(samples.angle[run], samples.speed[run], samples.sample_period)
         _simulate(u_s[run], angle, orders, constants, curve, axes, table, i_dq[run.start], out[run])
     return out
-
-
-def typical_inductances(model: TensorSpline, gamma: FloatArray, i_dq: FloatArray) -> tuple[float, float]:
-    """Return the means of the incremental self-inductances over currents (N, 2), A, in H."""
-    by_d, by_q = (rows.dot(gamma) for rows in model.slope_rows(i_dq[:: max(1, len(i_dq) // 1000)]))
-    return float(by_d[:, 0].mean()), float(by_q[:, 1].mean())
 
 
 def _smooth_angle(angle: FloatArray, speed: FloatArray, period: float) -> FloatArray:
@@ -120,32 +108,39 @@ def _smooth_angle(angle: FloatArray, speed: FloatArray, period: float) -> FloatA
     return np.asarray(turned + np.convolve(padded, np.full(2 * half + 1, 1 / (2 * half + 1)), mode="valid"))
 
 
-def flux_table(
-    model: TensorSpline, parts: Sequence[FloatArray], inductances: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
-    """Return the map and its harmonics as polynomials per cell.
-
-    Parameters
-    ----------
-    parts : sequence of (P,) float
-        Parameters of f_0, then of a_h and b_h of each harmonic, Wb.
-    inductances : float, float
-        Of d and q, with which the map goes on beyond its range, H.
+def flux_table(flux_map: FluxMap) -> tuple[FloatArray, FloatArray]:
+    """Return a map on equally spaced axes as polynomials per cell, by the splines through them.
 
     Returns
     -------
     axes : (2, 4) float
-        For d and q: lower end and width of a cell, A, number of cells, and inductance, H.
-    table : (cells, len(parts), 32) float
-        Coefficients of t^0 s^0, t^0 s^1, ... t^3 s^3 in each cell, row-major in d and q: psi_d, then psi_q, Wb.
+        For d and q: lower end and width of a cell, A, number of cells, and inductance beyond them, H.
+    table : (cells, 1 + 2 H, 32) float
+        Coefficients of t^0 s^0, t^0 s^1, ... t^3 s^3 in each cell, row-major in d and q: psi_d, then psi_q, Wb. Those
+        of f_0 come before those of a_h and b_h of each harmonic.
     """
-    axes = [
-        [axis.low, axis.width, axis.count - 3, own] for axis, own in zip((model.d, model.q), inductances, strict=True)
-    ]
-    coefficients = np.stack(parts).reshape(-1, 2, model.d.count, model.q.count)
+    d, q = (np.linspace(x[0], x[-1], min(len(x), _MOST_KNOTS)) for x in (flux_map.i_d, flux_map.i_q))
+    axes = [[x[0], x[1] - x[0], len(x) - 1, own] for x, own in zip((d, q), flux_map.typical_inductances, strict=True)]
+    parts = [flux_map.psi_d, flux_map.psi_q]
+    for h in flux_map.harmonics:
+        parts += [h.psi_d_cos, h.psi_q_cos, h.psi_d_sin, h.psi_q_sin]
+    values = [flux_map.sampled(part, *np.meshgrid(d, q, indexing="ij")) for part in parts]
+    of_d, of_q = _coefficients(len(d)), _coefficients(len(q))
+    coefficients = (of_d @ np.array(values) @ of_q.T).reshape(-1, 2, len(of_d), len(of_q))
     windows = np.lib.stride_tricks.sliding_window_view(coefficients, (4, 4), axis=(2, 3))
     table = np.einsum("ai,pfxyij,bj->xypfab", _POWERS, windows, _POWERS)
-    return np.array(axes), np.ascontiguousarray(table.reshape(-1, len(parts), 32))
+    return np.array(axes), np.ascontiguousarray(table.reshape(-1, len(parts) // 2, 32))
+
+
+@one_blas_thread()
+def _coefficients(count: int) -> FloatArray:
+    """Return the matrix (count + 2, count) from values at the knots to the coefficients of their not-a-knot spline."""
+    conditions = np.zeros((count + 2, count + 2))
+    for k in range(count):
+        conditions[k, k : k + 3] = np.array([1.0, 4.0, 1.0]) / 6
+    for row, first in ((-2, 0), (-1, count - 3)):
+        conditions[row, first : first + 5] = [1.0, -4.0, 6.0, -4.0, 1.0]
+    return np.asarray(np.linalg.inv(conditions)[:, :count])
 
 
 @compiled("f8, f8, f8, const f8[::1]")

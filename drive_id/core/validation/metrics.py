@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from drive_id.core.maps.surfaces import Surfaces
 from drive_id.types import FloatArray, GroundTruth
 
 
@@ -15,13 +16,10 @@ def mean_absolute_deviation(simulated: FloatArray, measured: FloatArray) -> tupl
 
 def true_flux(truth: GroundTruth, i_dq: FloatArray) -> FloatArray:
     """Interpolate the true flux linkages, Wb, cubically at currents (..., 2), A; NaN beyond the true map."""
-    from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  # only simulations have a truth
-
     low, high = np.array([truth.i_d[0], truth.i_q[0]]), np.array([truth.i_d[-1], truth.i_q[-1]])
     known = ((i_dq >= low) & (i_dq <= high)).all(axis=-1)
     psi = np.full(i_dq.shape, np.nan)
-    for component, flux in enumerate((truth.psi_d, truth.psi_q)):
-        psi[known, component] = RectBivariateSpline(truth.i_d, truth.i_q, flux).ev(*i_dq[known].T)
+    psi[known] = Surfaces.over(truth.i_d, truth.i_q, truth.psi_d, truth.psi_q).values(*i_dq[known].T)
     return psi
 
 

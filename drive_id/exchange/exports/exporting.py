@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drive_id.analysis.machine import definite
+from drive_id.core.maps.flux_models import positive_definite
 from drive_id.errors import CoverageError, OutputError
 from drive_id.exchange.exports.formats import export_format
 from drive_id.exchange.exports.options import ExportOptions
@@ -53,7 +53,7 @@ def content_of(result: Result, name: str, options: ExportOptions | None = None) 
     if chosen.grid and not chosen.refines:
         told.append(table.coarse)
     told.append(table.fold)
-    wrong = np.count_nonzero(~definite(table.inductances) & np.isfinite(table.psi[0]))
+    wrong = np.count_nonzero(~positive_definite(table.inductances) & np.isfinite(table.psi[0]))
     if wrong and chosen.grid:
         told.append(f"At {wrong} of {table.inside.size} points the matrix of inductances is not positive definite.")
     remarks = tuple(filter(None, told))

@@ -22,7 +22,6 @@ _PER_PERIOD = 12  # angles per period of the highest harmonic: linear interpolat
 _LEAST_ANGLES = 4  # of a table over the angle, without harmonics too
 _NEGLIGIBLE = 0.01  # amplitude of a harmonic, by the largest flux, that may be left out
 _COARSE = 0.01  # error of bilinear interpolation, by the largest flux, above which it is told
-_MARGIN = 1.25  # reach of the harmonics, in i_max
 _BEYOND = 1.5  # reach of the map, in i_max: overshoot of a simulated current
 _FARTHEST = 3.0  # reach of the map for a wider table, in i_max: continued to 10 times i_max, it takes a minute
 
@@ -156,8 +155,7 @@ class MapTable:
 
     @cached_property
     def _ripple(self) -> TorqueRipple:
-        reach = max(_MARGIN * self.machine.i_max, *(float(np.abs(axis).max()) for axis in (self.i_d, self.i_q)))
-        return TorqueRipple.of(self.machine, self.result.flux_map, self.result.harmonics, reach)
+        return TorqueRipple.of(self.machine)
 
     def repeating(self, span: float) -> MapTable:
         """Return this table with only those harmonics that repeat after an electrical angle, rad.
@@ -166,7 +164,8 @@ class MapTable:
         """
         kept = []
         largest = float(np.nanmax(np.hypot(*self.psi)))
-        for harmonic, (order, amplitudes) in zip(self.result.harmonics, self.harmonics, strict=True):
+        found = self.machine.flux_map
+        for harmonic, (order, amplitudes) in zip(found.harmonics, self.harmonics, strict=True):
             periods = order * span / (2 * np.pi)
             if abs(periods - round(periods)) < 1e-9:
                 kept.append(harmonic)
@@ -175,8 +174,7 @@ class MapTable:
                     f"The harmonic of order {order} does not repeat after {np.degrees(span):g} degrees electrical, as "
                     "this format assumes: export another format."
                 )
-        result = replace(self.result, drive=replace(self.result.drive, harmonics=tuple(kept)))
-        return replace(self, result=result)
+        return replace(self, machine=replace(self.machine, flux_map=replace(found, harmonics=tuple(kept))))
 
     def angles(self, span: float | None = None) -> FloatArray:
         """Return electrical angles from 0 over a span, without its end, spaced finely enough for all harmonics, rad.
@@ -184,7 +182,7 @@ class MapTable:
         Default: over the period that all harmonics share.
         """
         span = 2 * np.pi / np.gcd.reduce([order for order, _ in self.harmonics]) if span is None else span
-        periods = max((math.ceil(harmonic.order * span / (2 * np.pi)) for harmonic in self.result.harmonics), default=0)
+        periods = max((math.ceil(order * span / (2 * np.pi)) for order, _ in self.harmonics), default=0)
         count = max(_LEAST_ANGLES, _PER_PERIOD * periods)
         return np.arange(count, dtype=np.float64) * (span / count)
 
@@ -202,7 +200,7 @@ class MapTable:
 
         Raises ConfigurationError when the pole pairs are unknown.
         """
-        ripple = self._ripple.over_angle(*self.grid, theta) if self.result.harmonics else np.zeros(len(theta))
+        ripple = self._ripple.over_angle(*self.grid, theta) if self.harmonics else np.zeros(len(theta))
         return self.masked(self.torque[..., None] + ripple)
 
     @cached_property

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.interpolate import griddata
 
 from drive_id.core.maps.continuation import continued
+from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
 from drive_id.core.maps.monotone import fit_monotone
-from drive_id.core.result.identification import FluxMap, HarmonicMap
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.types import BoolArray, FloatArray, IntArray
@@ -35,7 +35,6 @@ class Gridded:
     """A map on a grid."""
 
     flux_map: FluxMap
-    harmonics: tuple[HarmonicMap, ...]
     mirrored: bool  # the file covers one sign of i_q; the other half is its mirror image
     scattered: bool  # the points do not form a grid: the map is a co-energy spline through them
     rms: float = 0.0  # distance of a spline from its points, Wb
@@ -160,12 +159,12 @@ def _on_grid(
     sigma = np.full((2, *shape), np.nan)
     sigma[:, places[0], places[1]] = columns.sigma_dq.T
     psi_d, psi_q = whole(psi_d, (slope_d, 0.0)), whole(psi_q, (0.0, slope_q))
-    flux_map = FluxMap(i_d, i_q, psi_d, psi_q, sigma[0], sigma[1], inside)
     harmonics = tuple(
         HarmonicMap(order, *(whole(columns.amplitudes[:, k, part]) for part in range(4)))
         for k, order in enumerate(columns.orders)
     )
-    return Gridded(flux_map, harmonics, mirrored, scattered=False)
+    flux_map = FluxMap(i_d, i_q, psi_d, psi_q, sigma[0], sigma[1], inside, harmonics=harmonics)
+    return Gridded(flux_map, mirrored, scattered=False)
 
 
 def _splined(columns: _Columns, *, mirrored: bool) -> Gridded:
@@ -183,10 +182,10 @@ def _splined(columns: _Columns, *, mirrored: bool) -> Gridded:
     amplitudes = laid(columns.amplitudes.reshape(len(columns.i_dq), -1))
     known = inside & np.isfinite(amplitudes).all(axis=-1)
     parts = (continued(one, known, (i_d, i_q), (0.0, 0.0)) for one in np.moveaxis(amplitudes, -1, 0))
-    harmonics = [HarmonicMap(order, *islice(parts, 4)) for order in columns.orders]
+    harmonics = tuple(HarmonicMap(order, *islice(parts, 4)) for order in columns.orders)
     sigma = np.where(inside[..., None], laid(columns.sigma_dq), np.nan)
-    flux_map = FluxMap(i_d, i_q, psi[..., 0], psi[..., 1], sigma[..., 0], sigma[..., 1], inside)
-    return Gridded(flux_map, tuple(harmonics), mirrored, scattered=True, rms=fitted.convexity.residual_rms)
+    flux_map = FluxMap.of(i_d, i_q, psi, sigma, inside, harmonics)
+    return Gridded(flux_map, mirrored, scattered=True, rms=fitted.convexity.residual_rms)
 
 
 def _round_axis(low: float, high: float) -> FloatArray:

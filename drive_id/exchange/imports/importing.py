@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.methods.parameters import FitReport
-from drive_id.core.result.identification import FluxMap, IdentifiedDrive
+from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import converted
 from drive_id.exchange.imports.formats import IMPORTS, format_of
@@ -104,7 +105,6 @@ def _result(source: Source, points: MapPoints, statements: list[Message]) -> Ide
             coverage=_coverage(found.flux_map, i_max),
             warnings=tuple(filter(None, warnings)),
         ),
-        harmonics=found.harmonics,
         statements=tuple(statements),
     )
     files = [source.path] if source.psi_q_file is None else [source.path, source.psi_q_file]

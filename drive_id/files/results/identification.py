@@ -10,7 +10,7 @@ import json
 import platform
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -20,17 +20,10 @@ import numpy as np
 
 from drive_id.core.fit_settings import MOST_POLE_PAIRS, FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
+from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.result.diagnostics import Diagnostics
-from drive_id.core.result.identification import (
-    Cogging,
-    FluxMap,
-    HarmonicMap,
-    IdentifiedDrive,
-    LinearMachine,
-    Mechanics,
-    TorqueFit,
-)
+from drive_id.core.result.identification import Cogging, IdentifiedDrive, LinearMachine, Mechanics, TorqueFit
 from drive_id.errors import DriveIdError, ResultError
 from drive_id.files.inputs.archive import DAMAGED, damage, npz_bytes, read_arrays
 from drive_id.files.inputs.input_file import read_input, read_text_input
@@ -104,7 +97,7 @@ def write_results(
     :func:`~drive_id.files.results.folder.check_recordings`.
     """
     check_recordings(directory, provenance.inputs, force=force)
-    harmonics = {_HARMONICS: _harmonics(identification)} if identification.harmonics else {}
+    harmonics = {_HARMONICS: _harmonics(identification.flux_map)} if identification.flux_map.harmonics else {}
     judged = {DIAGNOSTICS: diagnostics_bytes(diagnostics)} if diagnostics else {}
     found = {_NPZ: _flux_map(identification, provenance), **harmonics, **judged}
     digests = {name: sha256(content).hexdigest() for name, content in found.items()}
@@ -167,9 +160,10 @@ def _read(directory: Path) -> tuple[IdentifiedDrive, Provenance]:
     stored = _content(directory, _NPZ, tree)
     flux_map = _read_flux_map(stored)
     shape = flux_map.psi_d.shape
-    harmonics = _read_harmonics(_content(directory, _HARMONICS, tree), shape) if tree["harmonics"] else ()
+    if tree["harmonics"]:
+        flux_map = replace(flux_map, harmonics=_read_harmonics(_content(directory, _HARMONICS, tree), shape))
     modes = _read_modes(stored, shape, len(tree["inverter_curve"]["current"]))
-    return _identification(tree, flux_map, harmonics, modes), _provenance(tree, str(directory))
+    return _identification(tree, flux_map, modes), _provenance(tree, str(directory))
 
 
 def _tree(directory: Path) -> dict[str, Any]:
@@ -228,7 +222,7 @@ def results_tree(identification: IdentifiedDrive, provenance: Provenance) -> dic
         "sigma_voltage_error": identification.sigma_voltage_error,
         "magnet_coefficient": identification.magnet_coefficient,
         "inverter_curve": _curve(identification),
-        "harmonics": [harmonic.order for harmonic in identification.harmonics],
+        "harmonics": [harmonic.order for harmonic in identification.flux_map.harmonics],
         "calibrations": [
             asdict(entry) | {"sentence": entry.message, "message": entry.message.tree()}
             for entry in identification.calibrations
@@ -279,12 +273,12 @@ def _flux_map(identification: IdentifiedDrive, provenance: Provenance) -> bytes:
     return npz_bytes(arrays | scalars | texts | joint)
 
 
-def _harmonics(identification: IdentifiedDrive) -> bytes:
+def _harmonics(flux_map: FluxMap) -> bytes:
     """Return an npz of the harmonics: ``order`` (H,), the axes, and amplitudes (H, D, Q), Wb."""
-    found = identification.harmonics
+    found = flux_map.harmonics
     arrays = {name: np.array([getattr(harmonic, name) for harmonic in found]) for name in _AMPLITUDES}
     order = np.array([harmonic.order for harmonic in found])
-    return npz_bytes({"order": order, "i_d": identification.flux_map.i_d, "i_q": identification.flux_map.i_q, **arrays})
+    return npz_bytes({"order": order, "i_d": flux_map.i_d, "i_q": flux_map.i_q, **arrays})
 
 
 def _curve(identification: IdentifiedDrive) -> dict[str, Any]:
@@ -312,7 +306,7 @@ def _read_flux_map(content: bytes) -> FluxMap:
         raise ValueError(f"{_NPZ} has axes that do not rise")
     if any((np.abs(arrays[name]) > _MOST).any() for name in ("i_d", "i_q", "psi_d", "psi_q")):
         raise ValueError(f"{_NPZ} holds currents or fluxes beyond any drive")
-    return FluxMap(**arrays)
+    return FluxMap(*arrays.values())
 
 
 def _read_modes(content: bytes, shape: tuple[int, ...], points: int) -> ErrorModes | None:
@@ -337,9 +331,7 @@ def _read_harmonics(content: bytes, shape: tuple[int, ...]) -> tuple[HarmonicMap
     return tuple(HarmonicMap(int(order), *parts) for order, *parts in zip(orders, *amplitudes, strict=True))
 
 
-def _identification(
-    tree: Mapping[str, Any], flux_map: FluxMap, harmonics: tuple[HarmonicMap, ...], modes: ErrorModes | None
-) -> IdentifiedDrive:
+def _identification(tree: Mapping[str, Any], flux_map: FluxMap, modes: ErrorModes | None) -> IdentifiedDrive:
     curve, metrics = _read_curve(tree["inverter_curve"]), tree["metrics"]
     magnet, linear = tree.get("magnet_coefficient"), tree.get("linear_machine")
     report: dict[str, Any] = {}
@@ -362,7 +354,6 @@ def _identification(
         report=FitReport(**report),
         sigma_inverter_voltage=curve.get(_SIGMA),
         phase_voltages=np.stack([curve[name] for name in _PHASES], axis=1) if _PHASES[0] in curve else None,
-        harmonics=harmonics,
         calibrations=tuple(map(_read_calibration, tree["calibrations"])),
         magnet_coefficient=None if magnet is None else (float(magnet[0]), _number(magnet[1], np.inf)),
         statements=_messages(tree, "statements"),

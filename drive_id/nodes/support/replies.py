@@ -66,9 +66,9 @@ def flux_map_message(reply: Reply, frame_id: str) -> FluxMap:
     message.i_max = identification.i_max
     message.coverage = identification.report.coverage
     _fill_warnings(message, reply.warnings)
-    message.harmonic_orders = array.array("I", [harmonic.order for harmonic in identification.harmonics])
+    message.harmonic_orders = array.array("I", [harmonic.order for harmonic in flux_map.harmonics])
     for name in ("psi_d_cos", "psi_d_sin", "psi_q_cos", "psi_q_sin"):
-        amplitudes = [getattr(harmonic, name).ravel() for harmonic in identification.harmonics]
+        amplitudes = [getattr(harmonic, name).ravel() for harmonic in flux_map.harmonics]
         setattr(message, f"harmonic_{name}", _doubles(np.concatenate(amplitudes) if amplitudes else []))
     _fill_calibrations(message, identification)
     return message

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import to_hex
 
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.headline import slopes
-from drive_id.core.result.identification import FluxMap
 from drive_id.pictures.panels import COLOURS
 from drive_id.quantity import plain, scaled_unit
 from drive_id.reporting.page.content import map_difference
@@ -47,7 +47,7 @@ def charts_of(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
 
 def _map(result: Result, operation: TorqueMap | None) -> dict[str, Any]:
     """Return axes, quantities over them, and where there are data."""
-    found = result.enclosed.flux_map
+    found = result.flux_map.whole
     rows, columns = _thinned(len(found.i_d)), _thinned(len(found.i_q))
     at = np.ix_(rows, columns)
     known = found.inside[at]

@@ -57,7 +57,7 @@ class LossMap:
         """Evaluate at the corner speed, or where it is unknown at the highest recorded one; None without R."""
         if not math.isfinite(model.resistance):
             return None
-        found = result.flux_map
+        found = result.flux_map.whole
         recorded = max(map(abs, result.speed_range or (0.0,))) / model.known_pole_pairs()
         rpm = 30 / math.pi
         speed = float(f"{(corner if corner > 0 else recorded) * rpm:.2g}") / rpm
@@ -88,8 +88,7 @@ def torque_map(result: Result) -> TorqueMap | None:
     """Return torque and lines of operation; None when the pole pairs are unknown, or the rotor was locked."""
     if result.pole_pairs is None or not result.origin.turning:
         return None
-    result = result.enclosed
-    model, found = MachineModel.of(result), result.flux_map
+    model, found = MachineModel.of(result), result.flux_map.whole
     torque = model.torque(found.i_d[:, None], found.i_q)
     trajectories = {
         "MTPA": mtpa(model, result.i_max),
@@ -111,9 +110,8 @@ def torque_map(result: Result) -> TorqueMap | None:
 
 
 def _ripple(result: Result, model: MachineModel) -> FloatArray:
-    found = result.flux_map
-    ripple = TorqueRipple.of(model, found, result.harmonics, result.i_max)
-    values = ripple.peak_to_peak(*np.meshgrid(found.i_d, found.i_q, indexing="ij"))
+    found = result.flux_map.whole
+    values = TorqueRipple.of(model).peak_to_peak(*np.meshgrid(found.i_d, found.i_q, indexing="ij"))
     return np.where(found.inside, values, np.nan)
 
 

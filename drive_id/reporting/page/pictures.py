@@ -114,7 +114,7 @@ def _draw_currents(found: SimulatedCurrent) -> Figure:
 def _draw_operation(result: Result, operation: TorqueMap) -> Figure:
     figure = Figure(figsize=(WIDTH, 3.9))
     axes = place(figure, 2.1, 0.5, 2.9, 3.0)
-    draw_field(axes, Disc(result.enclosed.flux_map, result.i_max), operation.torque, "Torque / Nm", symmetric=True)
+    draw_field(axes, Disc(result.flux_map.whole, result.i_max), operation.torque, "Torque / Nm", symmetric=True)
     _draw_lines(axes, operation)
     if operation.lines:
         axes.legend(fontsize=SMALL, loc="lower right")
@@ -124,7 +124,7 @@ def _draw_operation(result: Result, operation: TorqueMap) -> Figure:
 def _draw_losses(result: Result, found: LossMap) -> Figure:
     """Draw each loss over the disc."""
     width = WIDTH / len(found.losses)
-    size, disc = min(2.3, width - 1.2), Disc(result.enclosed.flux_map, result.i_max)
+    size, disc = min(2.3, width - 1.2), Disc(result.flux_map.whole, result.i_max)
     figure = Figure(figsize=(WIDTH, size + 0.9))
     for number, (label, (values, _)) in enumerate(found.losses.items()):
         scale, unit = scaled_unit(float(np.nanmax(values)), "W")

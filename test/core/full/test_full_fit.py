@@ -50,7 +50,7 @@ def errors(identification, flux=reciprocal_flux):
     grid = flux_map.grid()
     i_dq = grid[flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= 295.0)]
     true = flux(i_dq)
-    return np.sqrt(np.mean((identification.flux(i_dq) - true) ** 2, axis=0)) / np.abs(true).max(axis=0)
+    return np.sqrt(np.mean((identification.flux_map.continued(i_dq) - true) ** 2, axis=0)) / np.abs(true).max(axis=0)
 
 
 def fitted(samples, settings=FULL):
@@ -74,7 +74,7 @@ def test_it_finds_the_truth_and_says_how_well(result):
     assert result.sigma_resistance < 3e-4, "the drop's shape leaves 1.3 % of R open"
     np.testing.assert_allclose(result.inverter_voltage[-20:], 4.0, rtol=0.02)
     assert np.all(result.sigma_inverter_voltage[-20:] < 0.1)
-    assert result.harmonics == ()
+    assert result.flux_map.harmonics == ()
     assert result.report.warnings == ()
     assert all(sentence.endswith(".") for sentence in result.statements)
 

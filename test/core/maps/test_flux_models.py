@@ -2,11 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from dense_oracle import bases
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drive_id.core.maps.flux_models import Polynomial, TensorSpline, as_tensor_spline, extend
+from drive_id.core.maps.flux_models import Polynomial, TensorSpline
 from drive_id.core.numerics.bspline import Axis
 from drive_id.errors import ConfigurationError
 
@@ -71,29 +70,6 @@ def test_a_polynomial_of_first_degree_is_the_linear_machine():
     i_dq = np.array([[10.0, -4.0]])
     rows = model.rows(i_dq).dense(model.parameters)[0]
     np.testing.assert_array_equal(rows, [[1, -4, 10, 0, 0, 0], [0, 0, 0, 1, -4, 10]])
-
-
-def test_polynomials_become_splines_without_loss_up_to_cubics():
-    model = Polynomial(3, 300.0)
-    gamma = np.random.default_rng(2).normal(size=model.parameters)
-    spline, coefficients = as_tensor_spline(model, gamma, Axis(-300, 300, 9), Axis(-280, 300, 7))
-    i_dq = np.random.default_rng(3).uniform(-280, 300, (200, 2))
-    np.testing.assert_allclose(spline.rows(i_dq).dot(coefficients), model.rows(i_dq).dot(gamma), atol=1e-11)
-
-
-def test_collocation_is_the_basis():
-    axis, points = Axis(-3.0, 5.0, 9), np.linspace(-3.0, 5.0, 9)
-    np.testing.assert_allclose(axis.collocation(points), bases(points, -3.0, 5.0, 9), atol=1e-14)
-
-
-def test_extension_continues_a_linear_machine_exactly_and_leaves_the_rest_alone():
-    linear = Polynomial(1, 300.0)
-    gamma = np.array([0.1, 0.0, 0.03, 0.0, 0.06, 0.0])  # psi_d = 0.1 + 1e-4 i_d, psi_q = 2e-4 i_q
-    spline, exact = as_tensor_spline(linear, gamma, SPLINE.d, SPLINE.q)
-    weak = np.random.default_rng(4).random(len(exact)) < 0.3
-    spoilt = np.where(weak, 50.0, exact)
-    np.testing.assert_allclose(extend(spline, spoilt, weak, (1e-4, 2e-4)), exact, atol=1e-12)
-    np.testing.assert_array_equal(extend(spline, spoilt, weak, (9.0, 9.0))[~weak], exact[~weak])
 
 
 @pytest.mark.parametrize(

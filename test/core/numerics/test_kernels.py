@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy_oracles as oracles
 import pytest
+from exact_results import exact_map
 from scipy import sparse
 
 from drive_id.core.maps.flux_models import TensorSpline
@@ -36,19 +37,20 @@ def test_rests(rest, count):
 
 
 def test_the_map_that_a_simulation_uses_is_the_spline_continued():
-    gamma = np.random.default_rng(8).normal(size=MODEL.parameters)
-    axes, table = current_simulation.flux_table(MODEL, [gamma], (1.0, 2.0))
+    psi = np.random.default_rng(8).normal(size=(8, 7, 2))
+    flux_map = exact_map(np.linspace(-10, 12, 8), np.linspace(-9, 9, 7), psi)
+    (axes, table), (l_d, l_q) = current_simulation.flux_table(flux_map), flux_map.typical_inductances
     here, point = np.zeros(33), np.empty(8)
     current_simulation.turn_to(0.0, np.zeros(0), here)
-    for i in currents(50)[:50]:
+    for i in np.random.default_rng(5).uniform(-14, 14, (50, 2)):
         current_simulation.evaluate(*i, here, axes, table, point)
         inside = np.clip(i, [-10, -9], [12, 9])
-        psi = MODEL.rows(inside[None]).dot(gamma)[0] + np.array([1.0, 2.0]) * (i - inside)
-        np.testing.assert_allclose(point[2:4], psi, atol=1e-13)
-        by_d, by_q = (rows.dot(gamma)[0] for rows in MODEL.slope_rows(inside[None]))
+        psi = flux_map.continued(inside) + np.array([l_d, l_q]) * (i - inside)
+        np.testing.assert_allclose(point[2:4], psi, atol=1e-12)
+        by_d, by_q = flux_map.inductances(*inside).T
         by_d, by_q = (
-            np.array([1.0, 0.0]) if i[0] != inside[0] else by_d,
-            np.array([0.0, 2.0]) if i[1] != inside[1] else by_q,
+            np.array([l_d, 0.0]) if i[0] != inside[0] else by_d,
+            np.array([0.0, l_q]) if i[1] != inside[1] else by_q,
         )
         np.testing.assert_allclose(point[[4, 6]], by_d, atol=1e-12)
         np.testing.assert_allclose(point[[5, 7]], by_q, atol=1e-12)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.block_regression import BlockRegression
-from drive_id.core.result.identification import FluxMap
 
 
 def series(rng, memory, count=1600):

@@ -29,7 +29,7 @@ def errors(identification, flux=saturating_flux):
     grid = identification.flux_map.grid()
     inside = identification.flux_map.inside & (np.hypot(grid[..., 0], grid[..., 1]) <= 300)
     true = flux(grid[inside])
-    return np.sqrt(np.mean((identification.flux(grid[inside]) - true) ** 2, axis=0)) / np.abs(true).max(axis=0)
+    return np.sqrt(np.mean((identification.flux_map.psi[inside] - true) ** 2, axis=0)) / np.abs(true).max(axis=0)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,8 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.bench.swing import Swing, simulate_swing
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.identification import FluxMap, Mechanics
+from drive_id.core.maps.flux_map import FluxMap
+from drive_id.core.result.identification import Mechanics
 from drive_id.core.result.mechanics import fit_mechanics
 from drive_id.files.results.identification import read_results
 from drive_id.fitting.simulated import simulate

@@ -13,7 +13,7 @@ from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result import conclusion
+from drive_id.core.result import conclusion, warnings
 from drive_id.core.result.identify import identify, score
 from drive_id.core.result.warnings import condemned
 from drive_id.errors import ConfigurationError, DataError, UnexplainedError
@@ -231,9 +231,9 @@ def test_what_no_machine_can_have_is_refused_by_full_and_told_by_joint(plain, mo
     ("share", "diverges", "refused"), [(0.3, False, True), (0.2, False, False), (0.2, True, True), (0.05, True, False)]
 )
 def test_a_map_without_valid_inductances_over_much_of_the_disc_is_refused(plain, monkeypatch, share, diverges, refused):
-    def with_share(evidence, estimate, flux_map, mad, limits):
-        of_share = replace(estimate, positive_definite=lambda i_dq: np.arange(len(i_dq)) >= share * len(i_dq))
-        return condemned(evidence, of_share, flux_map, (np.nan, np.nan) if diverges else mad, limits)
+    def with_share(evidence, estimate, mad, limits):
+        monkeypatch.setattr(warnings, "_indefinite", lambda _, points: np.arange(points.sum()) < share * points.sum())
+        return condemned(evidence, estimate, (np.nan, np.nan) if diverges else mad, limits)
 
     monkeypatch.setattr(conclusion, "condemned", with_share)
     if not refused:

@@ -12,7 +12,7 @@ from synthetic import record, saturating_flux
 import drive_id
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
-from drive_id.core.result.identification import FluxMap
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.torque import fit_torque
 from drive_id.fitting.simulated import simulate
 from drive_id.types import Samples

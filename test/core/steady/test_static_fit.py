@@ -43,7 +43,7 @@ def test_sixty_points_give_maps_resistance_and_drop(name, count, bound):
     assert abs(found.resistance - drive.resistance) < 3 * found.sigma_resistance
     assert abs(found.voltage_error - voltage) < 4 * found.sigma_voltage_error < 0.2 * voltage
     grid = found.flux_map.grid()[found.flux_map.inside]
-    truth, psi = mean_flux(drive, grid), found.flux(grid)
+    truth, psi = mean_flux(drive, grid), found.flux_map.continued(grid)
     assert np.sqrt(np.mean((psi - truth) ** 2)) < bound * np.abs(truth).max()
     errors = [found.flux_map.sigma_d[found.flux_map.inside], found.flux_map.sigma_q[found.flux_map.inside]]
     assert np.mean(np.abs(psi - truth) < 1.96 * np.column_stack(errors)) > 0.8

@@ -197,14 +197,14 @@ def test_the_errors_are_those_of_the_mixture_widened_by_students_law(log):
 def test_the_report_and_the_linear_machine_follow_from_map_and_points(log):
     points = operating_points(log)
     drive = identify_static(points, FitSettings(method="static", i_max=90.0))
-    explained = drive.resistance * points.i_dq + points.speed[:, None] * quarter(drive.flux(points.i_dq))
+    explained = drive.resistance * points.i_dq + points.speed[:, None] * quarter(drive.flux_map.continued(points.i_dq))
     explained += mean_drop(points.i_dq, lambda i: np.interp(i, drive.inverter_current, drive.inverter_voltage))
     rms = np.sqrt(np.mean((points.u_dq - explained) ** 2))
     assert drive.report.residual_rms == pytest.approx(rms, rel=0.05)
     assert drive.report.rows == 2 * len(points) == 2 * 9
     assert drive.report.samples_used == points.count.sum() < drive.report.samples_read == len(log)
     assert drive.voltage_error == pytest.approx(drive.inverter_voltage[-1], rel=0.01)
-    zero, ahead = (drive.flux(np.array([[d, 0.0]]))[0] for d in (0.0, 1.0))
+    zero, ahead = (drive.flux_map.continued(np.array([[d, 0.0]]))[0] for d in (0.0, 1.0))
     assert drive.linear.psi_pm == pytest.approx(zero[0], rel=1e-6)
     assert drive.linear.l_d == pytest.approx(ahead[0] - zero[0], rel=1e-4)
-    assert drive.linear.l_q == pytest.approx(drive.flux(np.array([[0.0, 1.0]]))[0, 1] - zero[1], rel=1e-4)
+    assert drive.linear.l_q == pytest.approx(drive.flux_map.continued(np.array([[0.0, 1.0]]))[0, 1] - zero[1], rel=1e-4)

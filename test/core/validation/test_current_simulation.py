@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import synthetic
 from drive_bags import TRAJECTORY
+from exact_results import exact_map
 from scipy.integrate import solve_ivp
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
-from drive_id.core.maps.flux_models import TensorSpline
-from drive_id.core.numerics.bspline import Axis
+from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.core.validation import current_simulation
 from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.fitting.simulated import run_experiment
@@ -27,19 +27,12 @@ def experiment(name, rpm, seconds=0.5, **settings):
 
 
 def true_model(machine, orders=ORDERS, count=40, nodes=48):
-    """Return model, gamma and harmonics: the true map's Fourier coefficients over the rotor position, interpolated."""
-    axis = Axis(-1.15 * machine.i_max, 1.15 * machine.i_max, count)
-    sites, theta = np.linspace(axis.low, axis.high, count), 2 * np.pi / 6 * np.arange(nodes) / nodes
-    spectrum = np.fft.rfft(machine.flux(sites[:, None, None], sites[:, None], theta), axis=2) / nodes
-    inverse = np.linalg.inv(axis.collocation(sites))
-
-    def parameters(psi):
-        return np.einsum("ax,by,xyk->kab", inverse, inverse, psi).ravel()
-
-    harmonics = {
-        h: (parameters(2 * spectrum[:, :, h // 6].real), parameters(-2 * spectrum[:, :, h // 6].imag)) for h in orders
-    }
-    return TensorSpline(axis, axis), parameters(spectrum[:, :, 0].real), harmonics
+    """Return the map whose harmonics are the true map's Fourier coefficients over the rotor position."""
+    axis = np.linspace(-1.15 * machine.i_max, 1.15 * machine.i_max, count)
+    theta = 2 * np.pi / 6 * np.arange(nodes) / nodes
+    spectrum = np.fft.rfft(machine.flux(axis[:, None, None], axis[:, None], theta), axis=2) / nodes
+    waves = [HarmonicMap.of(h, 2 * spectrum[:, :, h // 6].real, -2 * spectrum[:, :, h // 6].imag) for h in orders]
+    return exact_map(axis, axis, spectrum[:, :, 0].real, harmonics=tuple(waves))
 
 
 def simulated(simulation, samples=None, **model):
@@ -47,22 +40,19 @@ def simulated(simulation, samples=None, **model):
     current = np.linspace(-1.2 * truth.i_max, 1.2 * truth.i_max, 40001)
     return simulate_current(
         simulation.samples if samples is None else samples,
-        *true_model(simulation.machine, **model),
+        true_model(simulation.machine, **model),
         truth.resistance,
         (current, np.interp(current, truth.inverter_current, truth.inverter_voltage)),
     )
 
 
 def short_run():
-    axis = Axis(-350.0, 350.0, 8)
-    nodes = np.linspace(axis.low, axis.high, axis.count)
-    sites = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1)
-    inverse = np.linalg.inv(axis.collocation(nodes))
-    gamma = np.einsum("ax,by,xyk->kab", inverse, inverse, synthetic.saturating_flux(sites)).ravel()
-    harmonics = {6: (0.01 * gamma, -0.02 * gamma), 12: (0.005 * gamma[::-1], 0.005 * gamma)}
+    axis = np.linspace(-350.0, 350.0, 8)
+    psi = synthetic.saturating_flux(np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1))
+    waves = HarmonicMap.of(6, 0.01 * psi, -0.02 * psi), HarmonicMap.of(12, 0.005 * psi[::-1], 0.005 * psi)
     samples = synthetic.record(speed=1500.0, duration=0.02)
     drop = np.array([-6.0, -2.0, 2.0, 6.0]), np.array([-4.0, -2.0, 2.0, 4.0])
-    return simulate_current(samples, TensorSpline(axis, axis), gamma, harmonics, 0.02, drop)
+    return simulate_current(samples, exact_map(axis, axis, psi, harmonics=waves), 0.02, drop)
 
 
 @pytest.mark.cases
@@ -77,28 +67,24 @@ def test_the_true_model_gives_the_measured_current(name, rpm):
 
 def test_without_harmonics_it_solves_the_papers_equation():
     """Against an adaptive solver, in the paper's form: currents in the rotor frame, and an exact tanh."""
-    axis, speed, period, scale = Axis(-350.0, 350.0, 8), 600.0, 1e-4, 30.0
-    nodes = np.linspace(axis.low, axis.high, axis.count)
-    sites = np.stack(np.meshgrid(nodes, nodes, indexing="ij"), axis=-1)
-    inverse = np.linalg.inv(axis.collocation(nodes))
-    gamma = np.einsum("ax,by,xyk->kab", inverse, inverse, synthetic.saturating_flux(sites)).ravel()
-    model, samples = TensorSpline(axis, axis), synthetic.record(speed=speed, duration=0.02)
+    axis, speed, period, scale = np.linspace(-350.0, 350.0, 8), 600.0, 1e-4, 30.0
+    flux_map = exact_map(axis, axis, synthetic.saturating_flux(np.stack(np.meshgrid(axis, axis, indexing="ij"), -1)))
+    samples = synthetic.record(speed=speed, duration=0.02)
     u_s = frames.space_vector(samples.u_abc)
 
     def slope(t, i, k, start):
         turn = np.exp(1j * speed * (start + t))
         drop = frames.space_vector(4 * np.tanh(frames.phases(np.array([complex(*i) * turn])) / scale))[0]
-        psi = complex(*model.rows(i[None]).dot(gamma)[0])
+        psi = complex(*flux_map.continued(i))
         right = (u_s[k] - drop) * np.conj(turn) - 0.02 * complex(*i) - 1j * speed * psi
-        jacobian = np.stack([rows.dot(gamma)[0] for rows in model.slope_rows(i[None])], axis=-1)
-        return np.linalg.solve(jacobian, [right.real, right.imag])
+        return np.linalg.solve(flux_map.inductances(*i), [right.real, right.imag])
 
     expected = [frames.to_dq(samples.i_abc, samples.angle)[0]]
     for k in range(len(samples) - 1):
         step = solve_ivp(slope, (0, period), expected[-1], "DOP853", args=(k, k * period), rtol=1e-10, atol=1e-9)
         expected.append(step.y[:, -1])
     x = np.linspace(-10, 10, 4001)
-    found = simulate_current(samples, model, gamma, {}, 0.02, (scale * x, 4 * np.tanh(x)))
+    found = simulate_current(samples, flux_map, 0.02, (scale * x, 4 * np.tanh(x)))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4)
 
 
@@ -112,9 +98,8 @@ def test_each_run_starts_at_its_first_sample():
 
 def test_a_model_that_gains_energy_is_told_to_have_diverged():
     simulation = experiment("ipm", 500.0)
-    model, gamma, harmonics = true_model(simulation.machine)
     drop = np.array([-1.0, 1.0]), np.array([0.0, 0.0])
-    found = simulate_current(simulation.samples, model, gamma, harmonics, -0.3, drop)
+    found = simulate_current(simulation.samples, true_model(simulation.machine), -0.3, drop)
     assert np.isnan(found[-1]).all()
     assert np.isfinite(found[0]).all()
 
@@ -131,16 +116,19 @@ def test_noise_and_steps_of_the_resolver_do_not_drive_the_current():
 
 
 def test_the_map_at_an_angle_is_the_sum_of_its_parts():
-    model, random = TensorSpline(Axis(-10.0, 12.0, 8), Axis(-9.0, 9.0, 7)), np.random.default_rng(3)
-    gamma, *parts = random.normal(size=(5, model.parameters))
-    axes, table = current_simulation.flux_table(model, (gamma, *parts), (1.0, 2.0))
+    random, own = np.random.default_rng(3), (np.linspace(-10, 12, 8), np.linspace(-9, 9, 7))
+    mean, *parts = random.normal(size=(5, 8, 7, 2))
+    waves = HarmonicMap.of(6, *parts[:2]), HarmonicMap.of(18, *parts[2:])
+    flux_map = exact_map(*own, mean, harmonics=waves)
+    axes, table = current_simulation.flux_table(flux_map)
     here, point = np.zeros(33 + 2 * 2), np.empty(8)
     for theta in (0.3, -4.0):
         current_simulation.turn_to(theta, np.array([6.0, 18.0]), here)
-        total = gamma + np.array([np.cos(6 * theta), np.sin(6 * theta), np.cos(18 * theta), np.sin(18 * theta)]) @ parts
+        shares = [np.cos(6 * theta), np.sin(6 * theta), np.cos(18 * theta), np.sin(18 * theta)]
+        total = exact_map(*own, mean + np.tensordot(shares, parts, 1))
         for i in random.uniform(-14, 14, (30, 2)):
             inside = np.clip(i, [-10, -9], [12, 9])
-            psi = model.rows(inside[None]).dot(total)[0] + np.array([1.0, 2.0]) * (i - inside)
+            psi = total.continued(inside) + flux_map.typical_inductances * (i - inside)
             current_simulation.evaluate(*i, here, axes, table, point)
             np.testing.assert_allclose(point[2:4], psi, rtol=0, atol=1e-12)
 

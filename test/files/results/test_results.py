@@ -70,9 +70,8 @@ def test_the_flux_map_is_as_agreed(written, fitted):
         assert np.isnan(arrays[name][~inside]).all()
     k, m = 40, 12  # the first index is i_d
     assert inside[k, m]
-    at = np.array([[arrays["i_d"][k], arrays["i_q"][m]]])
-    psi = np.array([arrays["psi_d"][k, m], arrays["psi_q"][k, m]])
-    np.testing.assert_allclose(psi, fitted.drive.flux(at)[0], rtol=1e-12)
+    psi = [arrays["psi_d"][k, m], arrays["psi_q"][k, m]]
+    np.testing.assert_allclose(psi, fitted.flux_map.psi_dq(arrays["i_d"][k], arrays["i_q"][m]), rtol=1e-12)
     for name, axis in (("psi_d", 0), ("psi_q", 1)):
         both = np.diff(inside.astype(int), axis=axis) == 0
         rising = np.diff(arrays[name], axis=axis)[both & np.delete(inside, -1, axis)] > 0

@@ -49,7 +49,8 @@ def feed(live, samples, start=0, stop=None, block=100):
 
 
 def assert_same(one, other):
-    np.testing.assert_allclose(one.gamma, other.gamma, rtol=0, atol=1e-9 * np.abs(other.gamma).max())
+    psi = [found.flux_map.psi[found.flux_map.inside] for found in (one, other)]
+    np.testing.assert_allclose(*psi, rtol=0, atol=1e-9 * np.abs(psi[1]).max())
     assert one.resistance == pytest.approx(other.resistance, rel=1e-9)
     assert one.voltage_error == pytest.approx(other.voltage_error, rel=1e-9, abs=1e-9)
     assert one.sigma_resistance == pytest.approx(other.sigma_resistance, rel=1e-6)
@@ -71,7 +72,8 @@ def test_snapshots_are_the_offline_fit_of_what_was_there(samples, method):
     for snapshot, recording in ((second, samples), (first, part)):  # the older one last: later samples are not in it
         found, expected = snapshot.conclude().drive, identify([recording], settings)
         assert_same(found, expected)
-        assert found.report.mad_d == pytest.approx(expected.report.mad_d, rel=1e-6)
+        # such a map folds at some points, and a simulation that passes there amplifies rounding
+        assert found.report.mad_d == pytest.approx(expected.report.mad_d, rel=5e-3)
         assert snapshot.join.last_stamp == recording.stamp[-1]
 
 

@@ -9,7 +9,7 @@ from string import Template
 
 import numpy as np
 
-from drive_id.core.result.identification import FluxMap
+from drive_id.core.maps.flux_map import FluxMap
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.exports.current_control import CurrentControl, designed
 from drive_id.exchange.exports.options import ExportOptions

@@ -49,7 +49,7 @@ def found(result, name):
 
 
 def right(result, most=1e-3):
-    error = np.abs(result.flux(GRID) - reciprocal_flux(GRID)) / np.abs(reciprocal_flux(GRID)).max()
+    error = np.abs(result.flux_map.continued(GRID) - reciprocal_flux(GRID)) / np.abs(reciprocal_flux(GRID)).max()
     assert np.sqrt(np.nanmean(error**2)) < most
     assert abs(result.resistance - 0.02) < 3 * result.sigma_resistance
 

@@ -32,6 +32,7 @@ _SLOPE_STEP = 0.02
 """Relative to i_max, over which the slope of the drop is taken: wider than the noise, narrower than the step."""
 _ALIKE = 1e-3
 """Of the largest, below which a variance of the unknowns of an effect, relative to their own, is not known."""
+_MOST_BY_ONE = 0.5  # share of the map's variance from which on an open effect is its cause
 _BY_SHAPE = 2.0
 """Standard errors, for white residuals, by which R must change with the shape of the curve to be uncertain by that.
 
@@ -69,7 +70,7 @@ class Assessment:
     # (size,), by effect: how the estimate changes, other than by effects, with that rival in its place that changes the
     # map most
     by_rivals: dict[str, FloatArray]
-    by_delay: float  # share of the map's variance that stems from a delay that the data leave open
+    open: str  # effect, or delay, from which most of the map's variance stems, for the data leave it open; else empty
     jump: DelayJump | None = None  # where the delay of the voltages changes
 
 
@@ -228,7 +229,7 @@ def fit_full(
         biases = [solver.shrinkage(solution), by_noise, UNCERTAIN_SHARE * solver.by_remainder(solution)]
         biases.append(by_delay := _by_delay(solver, uncertain, selection))
         by_rivals = _with_rivals(solver, uncertain, selection)
-        biases.append(_with_undecided(solver, uncertain, selection))
+        biases.append(undecided := _with_undecided(solver, uncertain, selection))
         changes = np.column_stack(
             [batches, *biases, misfit.changes, *by_rivals.values(), _among_curves(solver, solution)]
         )
@@ -262,10 +263,18 @@ def fit_full(
         outlying_time=float(times[energy.argmax()]),
         unseen=_unseen(sums, uncertain),
         by_rivals=by_rivals,
-        by_delay=float(np.sum(by_delay[sums.model.map] ** 2) / max(np.sum(changes[sums.model.map] ** 2), TINY)),
+        open=_open(
+            changes[sums.model.map], {DELAY: by_delay, selection.search.found.undecided: undecided}, sums.model.map
+        ),
         jump=jump,
     )
     return FullFit(model=sums.model, solution=solution, selection=selection, assessment=assessment)
+
+
+def _open(changes: FloatArray, by_effect: dict[str, FloatArray], columns: slice) -> str:
+    """Return the effect whose change (size,) is most of the variance of the map, from changes (M, B) of it all."""
+    most = _MOST_BY_ONE * float(np.sum(changes**2))
+    return next((name for name, change in by_effect.items() if np.sum(change[columns] ** 2) > most), "")
 
 
 def _unseen(sums: WindowSums, solution: FullSolution) -> float:

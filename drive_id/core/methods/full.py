@@ -19,8 +19,9 @@ from drive_id.core.full.effect_report import (
 )
 from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects.catalogue import CATALOGUE
-from drive_id.core.full.effects.effect import Calibration
+from drive_id.core.full.effects.effect import MOST_PARTS, Calibration, divided
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
+from drive_id.core.full.linearized import DELAY
 from drive_id.core.full.model import MAGNET, RESISTANCE
 from drive_id.core.full.standard_errors import sigma as fitted_sigma
 from drive_id.core.full.window_sums import WindowSums
@@ -47,7 +48,6 @@ _LOCKED_TURN = np.deg2rad(2.0)
 _NEARLY_ALL = (0.01, 0.99)  # quantiles of the angles, without which noise of the resolver would count as motion
 _FEW_POINTS = 0.005  # share of the map's points that may be uncertain
 _LARGE_SIGMA = 0.01  # standard error over the largest flux of an uncertain point
-_MOST_BY_DELAY = 0.5  # share of the map's variance from which on an open delay is its cause
 _LARGE_SHARE = 0.01
 """Of R, by which the shape of a wide inverter curve changes R."""
 _LARGE_OFFSET = 0.005  # of a current sensor, in i_max, for a warning
@@ -92,6 +92,7 @@ class FullMethod:
         told = [said for said in (misfit_found(fit), unseen_warning(fit)) if said is not None]
         warnings = (
             *(said for said in told if said.kind == "warning"),
+            *_on_parts(fit, misfit=bool(told)),
             *_on_map(evidence, fit, psi, sigma, inside),
             *_on_calibration(evidence, fit, found),
         )
@@ -354,11 +355,23 @@ def _on_map(
         uncertain = sigma[chosen].max(axis=1) > _LARGE_SIGMA * np.abs(psi[chosen]).max()
         if uncertain.mean() > _FEW_POINTS:
             d, q = grid[chosen][uncertain].mean(axis=0)
-            key = "sigma_large.delay" if fit.assessment.by_delay > _MOST_BY_DELAY else "sigma_large"
-            points, of = uncertain.sum(), chosen.sum()
-            yield Message(key, points=points, of=of, limit=_LARGE_SIGMA, i_d=d, i_q=q)
+            told = {"points": uncertain.sum(), "of": chosen.sum(), "limit": _LARGE_SIGMA}
+            if fit.assessment.open == DELAY:
+                yield Message("sigma_large.delay", **told)
+            elif fit.assessment.open:
+                yield Message("sigma_large.open", effect=fit.assessment.open, **told)
+            else:
+                yield Message("sigma_large", **told, i_d=d, i_q=q)
     if fit.shared_resistance >= _large_share(fit):
         yield Message("wide_curve.large", shared=fit.shared_resistance)
+
+
+def _on_parts(fit: FullFit, *, misfit: bool) -> Iterator[Message]:
+    """Yield a warning of more recordings than can have states of their own, where something is left to explain."""
+    kept = fit.selection.search.sums.kept()
+    parts = 1 + max(int(getattr(windows, divided(kept)).max()) for windows in kept)
+    if misfit and parts > MOST_PARTS:
+        yield Message("many_parts", parts=parts, most=MOST_PARTS)
 
 
 def _on_calibration(evidence: Evidence, fit: FullFit, calibrations: Sequence[Calibration]) -> Iterator[Message]:

@@ -40,6 +40,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         DropOfParts("drop_of_parts"),
         UnlikeParts("unlike_parts"),
         Eccentricity("eccentricity"),
+        Eccentricity("second_mechanical", 2),
         EccentricRotor("eccentric_rotor"),
         ResolverOrder("resolver_first", 1),
         ResolverOrder("resolver_second", 2),

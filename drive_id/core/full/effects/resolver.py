@@ -22,7 +22,7 @@ from drive_id.core.full.windows import Windows
 from drive_id.types import FloatArray
 
 
-def mechanical_waves(windows: Windows, pole_pairs: int) -> tuple[FloatArray, FloatArray]:
+def mechanical_waves(windows: Windows, pole_pairs: float) -> tuple[FloatArray, FloatArray]:
     """Return cosine and sine (N, 2) of the mechanical angle."""
     mechanical = windows.turned / pole_pairs
     return np.cos(mechanical), np.sin(mechanical)
@@ -44,19 +44,21 @@ class ResolverOrder(DriveEffect):
 
 @dataclass(frozen=True)
 class Eccentricity(DriveEffect):
-    """Error of the angle: cosine and sine of the mechanical angle, in each run."""
+    """Error of the angle: cosine and sine of a multiple of the mechanical angle, in each run."""
 
+    order: int = 1
     width, of_recordings = 2 * MOST_RUNS, True
 
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return known.runs <= MOST_RUNS
 
     def waves(self, at: Ends) -> list[FloatArray]:  # noqa: D102
-        pairs = at.pole_pairs
-        return [] if pairs is None or pairs < 2 else at.in_runs(mechanical_waves(at.windows, pairs))
+        turns = (at.pole_pairs or 0) / self.order  # one electrical turn has the orders of the resolver
+        return at.in_runs(mechanical_waves(at.windows, turns)) if turns > 1 else []
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield found.entry("resolver_eccentricity", *found.amplitude, "rad", pole_pairs=found.pole_pairs)
+        name = "resolver_eccentricity" if self.order == 1 else "resolver_second_mechanical"
+        yield found.entry(name, *found.amplitude, "rad", pole_pairs=found.pole_pairs)
 
 
 @dataclass(frozen=True)

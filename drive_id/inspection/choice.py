@@ -253,7 +253,7 @@ def _angles(table: Table) -> Iterator[AngleColumn]:
     for name, x in table.columns.items():
         if len(x) != len(table.stamp) or is_count(x) or suggests(name, "time"):
             continue
-        like = angle_like(x)
+        like = angle_like(x, table.stamp)
         if like is not None and (like.wraps or not words(name) & _ODOMETERS):
             yield AngleColumn(table, name, like, x)
 

@@ -587,6 +587,23 @@ def test_angles_and_counts():
     assert angle_like(np.sign(np.sin(0.01 * k)) + noise) is None  # a square wave
     assert angle_like(np.random.default_rng(0).normal(size=3000)) is None
     assert angle_like(np.ones(3000)) is None
+
+
+@pytest.mark.parametrize(("unit", "turn"), [("rev", 1.0), ("rad", 2 * np.pi), ("deg", 360.0), ("counts", 4096.0)])
+def test_an_angle_is_recognized_whatever_is_missing(unit, turn):
+    rng, k = np.random.default_rng(0), np.arange(6000)
+    for trial in range(75):
+        speed = rng.choice([-1, 1]) * rng.choice([0.003, 0.03, 0.11]) * rng.uniform(0.6, 1.5)
+        x = np.mod(speed * k + rng.random(), 1) * turn
+        kept = np.ones(len(k), np.bool_)
+        for start in rng.integers(0, 5700, rng.choice([1, 3, 10])):
+            kept[start : start + rng.integers(1, 300)] = False
+        stamp = 100_000 * k + rng.integers(0, 50_000, len(k)) * (trial % 2)
+        found = angle_like((np.floor(x) if unit == "counts" else x)[kept], stamp[kept])
+        assert found is not None
+        assert found.unit == unit
+        noise = rng.normal(size=kept.sum()) if trial % 2 else rng.uniform(0, turn, kept.sum())
+        assert angle_like(noise, stamp[kept]) is None
     assert is_count(np.delete(k, [5, 6, 900]))
     assert not is_count(2 * k)
     assert (4096, 3) in likely_counts(30.0, 40_960.0)

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.types import BoolArray, FloatArray
+from drive_id.types import BoolArray, FloatArray, IntArray
 
 _FEWEST = 50  # values, to tell a shape
 _WRAP = 0.6
@@ -16,6 +16,8 @@ _WRAP = 0.6
 _LARGEST_STEP = 0.45  # of the range: an angle that moves further between samples is ambiguous
 _STEADY = 0.9  # share of steps in one direction where the column wraps: noise reverses some
 _MONOTONE = 0.98  # the same where it does not, which drifts of other signals do, too
+_GAP = 1.5  # usual times between rows, from which on rows may be missing
+_NO_GAPS = 0.9  # share of the rows that count however much the stamps jitter
 _UNEVEN = 20  # largest over median step of an angle without wraps
 _MANY = 1000  # range from which on whole numbers are counts
 _EXACT = 5e-4
@@ -43,10 +45,17 @@ class AngleLike:
         return np.asarray(np.unwrap(x, period=self.turn)) if self.wraps else x
 
 
-def angle_like(x: FloatArray) -> AngleLike | None:
-    """Tell whether a column (N,) moves like an angle, and in which unit; None if it does not."""
-    x = x[np.isfinite(x)]
+def angle_like(x: FloatArray, stamp: IntArray | None = None) -> AngleLike | None:
+    """Tell whether a column (N,) moves like an angle, and in which unit; None if it does not.
+
+    The longest steps of the stamps (N,), if given, do not count: an angle moves anywhere while rows are missing.
+    """
+    there = np.isfinite(x)
+    x = x[there]
     spread, steps = (float(np.ptp(x)), np.diff(x)) if len(x) >= _FEWEST else (0.0, x)
+    if stamp is not None and spread:
+        elapsed = np.diff(stamp[there])
+        steps = steps[elapsed <= max(_GAP * np.median(elapsed), np.quantile(elapsed, _NO_GAPS))]
     if not spread > 0:
         return None
     wraps = np.abs(steps) > _WRAP * spread

@@ -18,7 +18,8 @@ _HELD = 0.2
 _SAME_ROWS = 0.8
 """Share of repeated currents whose voltages repeat as well, from which on whole rows do."""
 _STEPS = 5.0
-"""Median step of a current that moves by its least step, below which a coarse converter explains that it repeats."""
+"""Median step of a current that moves by its least step, below which a coarse converter explains that it repeats.
+A current of no more is none."""
 _OFF = 0.02
 """Current by i_max below which the inverter may be off."""
 _OFF_SAMPLES, _OFF_TIME, _OFF_TURN = 50, 0.02, 0.5
@@ -50,7 +51,8 @@ def _repeated(runs: Sequence[Samples]) -> Iterator[Message]:
     """Yield currents that are those of the sample before though the rotor turns."""
     steps = np.concatenate([np.abs(np.diff(run.i_abc, axis=0)) for run in runs])
     turning = np.concatenate([np.abs(run.speed[1:]) * run.sample_period > _TURNING for run in runs])
-    flowing = np.concatenate([np.any(run.i_abc[1:] != 0, axis=1) for run in runs])
+    least = steps[steps > 0].min(initial=np.inf)  # a drive at rest reads a few steps of its converter, and repeats them
+    flowing = np.concatenate([np.abs(run.i_abc[1:]).max(axis=1) > _STEPS * least for run in runs])
     voltages = np.concatenate([np.all(np.diff(run.u_abc, axis=0) == 0, axis=1) for run in runs])
     at = np.concatenate([run.stamp[1:] for run in runs])
     told = turning & flowing

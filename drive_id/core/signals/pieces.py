@@ -12,6 +12,9 @@ from drive_id.types import GroundTruth
 
 _DISTANCE = 1_000_000_000
 """Put between recordings that overlap, ns."""
+_SINCE_ITS_BEGINNING = 86_400_000_000_000
+"""Stamp, ns, up to which a time may count from the beginning of its own recording, as that of each CSV file does."""
+_TOLD_BY = 64  # samples that are the same only in the same recording
 
 
 class SeveralRecordings:
@@ -22,7 +25,7 @@ class SeveralRecordings:
     end : int or None
         Stamp of the last sample so far, ns.
     moved : list of int
-        Numbers of the recordings that were moved.
+        Numbers of the recordings that were moved and begin like one before, or have a common clock.
     """
 
     def __init__(self) -> None:
@@ -31,6 +34,7 @@ class SeveralRecordings:
         self._period: float | None = None
         self._number = -1
         self._shift: int | None = None
+        self._beginnings: set[bytes] = set()
 
     def begin(self) -> None:
         """Begin a further recording."""
@@ -52,9 +56,12 @@ class SeveralRecordings:
             )
         if self._shift is None:
             self._shift = 0
+            beginning = samples.i_abc[:_TOLD_BY].tobytes()
             if self.end is not None and int(samples.stamp[0]) <= self.end + 2e9 * self._period:
                 self._shift = self.end + _DISTANCE - int(samples.stamp[0])
-                self.moved.append(self._number)
+                if beginning in self._beginnings or int(samples.stamp[0]) > _SINCE_ITS_BEGINNING:
+                    self.moved.append(self._number)
+            self._beginnings.add(beginning)
         if self._shift or samples.sample_period != self._period:
             samples = replace(samples, stamp=samples.stamp + self._shift, sample_period=self._period)
             piece = replace(piece, samples=samples)

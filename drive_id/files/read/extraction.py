@@ -131,6 +131,7 @@ class LogSignals:
                     missing=spacing.missing or None,
                     gaps=spacing.gaps,
                     counted=bool(builder.source.first_sample),
+                    unseen=spacing.least - 1 if builder.period is None and spacing.least > 1 else None,
                 )
                 found.setdefault((said.code, topic), said)
             if builder.blank:

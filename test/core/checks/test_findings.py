@@ -223,6 +223,21 @@ def test_what_a_rough_model_leaves_itself_is_no_shift(ipm, monkeypatch, share, l
     assert (finding is not None) == late
 
 
+@pytest.mark.parametrize(("doubled", "codes"), [(0, []), (40, ["repeated_rows"])])
+def test_a_rest_that_a_coarse_converter_reads_as_a_few_steps_is_no_repetition(doubled, codes):
+    k, rng = np.arange(8000), np.random.default_rng(0)
+    angle = 0.05 * k
+    i_s = np.where(k % 2000 < 400, 0.0, 80.0) * np.exp(1j * (angle + 1))
+    step = 200 / 2**10
+    i_abc = step * np.rint((frames.phases(i_s) + rng.normal(0, 0.2 * step, (len(k), 3))) / step + 1.2)
+    for row in 500 + 35 * np.arange(doubled):
+        i_abc[row] = i_abc[row - 1]
+    run = Samples(
+        k * 100_000, i_abc, frames.phases(0.1 * i_s + 60j * np.exp(1j * angle)), angle, 500.0 + 0 * angle, 1e-4
+    )
+    assert [finding.code for finding in repeat_findings([run], 80.0)] == codes
+
+
 @pytest.mark.parametrize(("induced", "codes"), [(0.12, []), (0.0, ["inverter_tripped"])])
 def test_a_new_speed_without_current_is_no_trip(induced, codes):
     """Between two speeds, the voltage of the magnet changes with the speed, and its sign with it."""

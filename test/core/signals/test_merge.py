@@ -34,6 +34,17 @@ def test_recordings_that_overlap_are_moved_behind_those_before():
     assert {piece.samples.sample_period for piece in found} == {1e-4}
 
 
+@pytest.mark.parametrize(("since", "again", "told"), [(0, False, []), (0, True, [1]), (10**18, False, [1])])
+def test_times_that_count_from_the_beginning_of_each_recording_tell_no_overlap(since, again, told):
+    first = record(duration=0.05)
+    first = replace(first, stamp=first.stamp - first.stamp[0] + since)
+    several = SeveralRecordings()
+    for recording in (first, first if again else replace(first, i_abc=-first.i_abc)):
+        several.begin()
+        several.placed(Piece(recording, False))
+    assert several.moved == told
+
+
 def test_rates_that_differ_are_refused():
     part = record(duration=0.05)
     several = SeveralRecordings()

@@ -142,7 +142,11 @@ def factorize(
     """
     scale = _scale_of(np.diag(normal) + (0.0 if by is None else by.diagonal())) if scale is None else scale
     inverse, jitter = 1.0 / scale, _JITTER
-    relative = None if by is None else sparse.csr_array(sparse.diags_array(inverse) @ by @ sparse.diags_array(inverse))
+    relative = (
+        None
+        if by is None
+        else sparse.triu(sparse.diags_array(inverse) @ by @ sparse.diags_array(inverse), format="csr")
+    )
     while True:
         scaled = np.empty(normal.shape)
         _equilibrate(normal, inverse, scaled)
@@ -235,8 +239,8 @@ def quadratic_forms(
     out = np.zeros(len(first) - 1)
     for n in range(len(out)):
         for one in range(first[n], first[n + 1]):
-            row, total = matrix[column[one]], 0.5 * matrix[column[one], column[one]] * value[one]
-            for other in range(first[n], one):
+            row, total = matrix[column[one]], 0.0  # whole rows: of differences of forms, most cancels within each
+            for other in range(first[n], first[n + 1]):
                 total += row[column[other]] * value[other]
-            out[n] += 2.0 * value[one] * total
+            out[n] += value[one] * total
     return out

@@ -46,15 +46,28 @@ posed, and the quantile that stands for it."""
 CAUSES = {
     "iron": ("iron_loss*", "coercivity", "hysteresis"),
     "lag": ("flux_lag*",),
-    "heat": ("copper_heating", "magnet_heating", "resistance_rise", "magnet_flux_change"),
-    "recordings": ("copper_recordings", "magnet_recordings", "resistance_change*", "magnet_flux_change_*"),
+    "heat": (
+        "copper_heating", "magnet_heating", "late_magnet_heating", "resistance_rise", "magnet_flux_change",
+        "magnet_flux_change_late",
+    ),
+    "recordings": (
+        "copper_recordings", "magnet_recordings", "resistance_change*", "magnet_flux_change_[2-8]", "*_of_parts",
+        "unlike_parts", "many_parts", "angle_offset_change*", "inverter_drop_change*",
+    ),
     "skin": ("skin_effect", "resistance_by_speed"),
     "rotor": ("eccentric_rotor", "rotor_ecc*"),
-    "phases": ("phase_resistance", "resistance_[abc]", "resistance_of_phase"),
+    "phases": (
+        "phase_resistance", "resistance_[abc]", "resistance_of_phase", "phase_inductance", "inductance_[abc]",
+        "inductance_of_phase",
+    ),
     "inverter": (
         "devices", "drop_asymmetry*", "wide_curve", "drop_negative", "voltage_error_negative", "misfit.small_currents",
+        "late_compensation",
     ),
-    "dc": ("dc_link*", "link_*", "voltage_clipped", "misfit", "misfit.small_currents"),
+    "dc": (
+        "dc_link*", "link_*", "drop_by_link", "inverter_drop_by_link", "voltage_clipped", "misfit",
+        "misfit.small_currents",
+    ),
     "timing": (
         "angle_latency", "current_latency", "voltage_delay*", "time_shift", "decimated", "outlier", "single_sample",
         "no_checksums", "misfit.time",
@@ -64,7 +77,7 @@ CAUSES = {
         "current_gain*", "current_rotation", "current_offset", "zero_sequence", "voltage_offset",
     ),
     "offsets": ("current_offset*", "voltage_offset*"),
-    "resolver": ("eccentricity", "resolver_[efs]*"),
+    "resolver": ("eccentricity", "second_mechanical", "resolver_[efs]*"),
     "voltage_gains": ("voltage_gain*",),
     "decimated": ("decimated",),
     "machine": ("not_reciprocal",),

@@ -96,7 +96,7 @@ def test_a_long_recording_is_accumulated_as_in_memory(bag, method, i_max):
         one, other = getattr(mine.flux_map, name)[inside], getattr(expected.flux_map, name)[inside]
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9 * np.abs(other).max())
     assert mine.resistance == pytest.approx(expected.resistance, rel=1e-9)
-    assert mine.report.mad_d == pytest.approx(expected.report.mad_d, rel=0.3)
+    assert mine.report.mad_d == pytest.approx(expected.report.mad_d, rel=0.4)  # of parts, where the map folds
 
 
 @pytest.mark.usefixtures("long")

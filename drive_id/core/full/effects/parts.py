@@ -22,15 +22,22 @@ from drive_id.types import FloatArray
 
 
 @dataclass(frozen=True)
-class AngleOfParts(DriveEffect):
-    """Offset of the angle in each part of the data minus that in the first, as of an encoder without an index."""
+class OfParts(DriveEffect):
+    """What each part but the first has of its own, relative to that."""
 
     width = MOST_PARTS - 1
-    of_recordings, cause = True, "angle"  # with one speed in each, a late angle is among them
-    price, price_of_part = 0.01, 2e-3
+    of_recordings, price_of_part = True, 2e-3
 
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return 1 < known.parts <= MOST_PARTS
+
+
+@dataclass(frozen=True)
+class AngleOfParts(OfParts):
+    """Offset of the angle, as of an encoder without an index."""
+
+    cause = "angle"  # with one speed in each, a late angle is among them
+    price = 0.01
 
     def waves(self, at: Ends) -> list[FloatArray]:  # noqa: D102
         return [np.repeat(own[:, None], 2, axis=1).astype(np.float64) for own in at.of_parts()]
@@ -44,14 +51,10 @@ class AngleOfParts(DriveEffect):
 
 
 @dataclass(frozen=True)
-class DropOfParts(AngleOfParts):
-    """Inverter's drop of each part, relative to that of the first: another DC link, or other devices."""
+class DropOfParts(OfParts):
+    """Inverter's drop, relative: another DC link, or other devices."""
 
-    at_rest, cause = True, ""
-    price = 0.0
-
-    def waves(self, _: Ends) -> list[FloatArray]:  # noqa: D102
-        return []
+    at_rest = True
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return [at.drop * own for own in at.of_parts()]
@@ -64,18 +67,14 @@ class DropOfParts(AngleOfParts):
 
 
 @dataclass(frozen=True)
-class UnlikeParts(AngleOfParts):
-    """psi_d and psi_q of each part, relative to those of the first: another machine.
+class UnlikeParts(OfParts):
+    """psi_d and psi_q, relative: another machine.
 
     Columns ``[e^{j theta} f_d]`` and ``[e^{j theta} j f_q]``.
     """
 
     width = 2 * (MOST_PARTS - 1)
-    cause = ""
-    price, price_of_part = 0.03, 4e-3
-
-    def waves(self, _: Ends) -> list[FloatArray]:  # noqa: D102
-        return []
+    price, price_of_part = 0.03, 4e-3  # it explains what all others do
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         flux = [between(at.turn * psi) for psi in (at.psi.real, 1j * at.psi.imag)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -124,7 +125,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
     out: list[Calibration] = []
     drop = float(fit.model.shapes.coarse(np.array(fit.model.i_max)) @ fit.model.coarse_drop(estimate))
     slopes, links = jacobian(fit.model.flux, estimate[fit.model.map], np.zeros((1, 2))), _links(fit)
-    parts = _parts(Windows.joined(fit.selection.search.sums.kept()), columns.divided)
+    parts = _parts(fit.selection.search.sums.kept(), columns.divided)
     for taken in found.taken:
         if taken.name not in fit.spec.effects:
             continue
@@ -184,13 +185,16 @@ def _links(fit: FullFit) -> tuple[float, float]:
     return (float(means.min()), float(means.max())) if len(means) else (np.nan, np.nan)
 
 
-def _parts(windows: Windows, divided: str) -> tuple[dict[str, float], ...]:
+def _parts(kept: Sequence[Windows], divided: str) -> tuple[dict[str, float], ...]:
     """Return the recording of each part of the data, and the time of its data where the part is behind a pause."""
-    part, out = getattr(windows, divided), []
+    part, recordings, time = (
+        np.concatenate([getattr(windows, name) for windows in kept]) for name in (divided, "recording", "time")
+    )
+    out: list[dict[str, float]] = []
     for number in range(int(part.max()) + 1):
-        own = windows.part(part == number)
-        recording = int(own.recording[0]) if len(own) else number  # without windows, nothing is told of it
-        since = own.time.min(initial=np.inf) - windows.time[windows.recording == recording].min(initial=np.inf)
+        own = part == number
+        recording = int(recordings[own][0]) if own.any() else number  # without windows, nothing is told of it
+        since = time[own].min(initial=np.inf) - time[recordings == recording].min(initial=np.inf)
         out.append({"recording": recording + 1} | ({"pause": float(since)} if 0 < since < np.inf else {}))
     return tuple(out)
 

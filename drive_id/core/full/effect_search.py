@@ -16,6 +16,7 @@ from scipy import sparse
 
 from drive_id.core.full.delay import SPEEDS_APART, Delay, estimate_delay
 from drive_id.core.full.effects.catalogue import CATALOGUE
+from drive_id.core.full.effects.effect import parts
 from drive_id.core.full.linearized import (
     DELAY,
     EffectSearch,
@@ -257,8 +258,7 @@ def search_effects(
     own, rows = model.effect("remainder").start, max(solution.rows, 1.0)
     least = _LEAST_VOLTAGE**2 / _PRICE * rows * first.solver.total_voltage + float(first.solver.total[own, own])
     one_speed = not several_speeds(noise.windows.speed.mean(axis=1))
-    parts = 1 + max(int(getattr(windows, first.found.columns.divided).max()) for windows in sums.kept())
-    rules = _Rules(sums, plain, noise, tuple(allowed), turn, one_speed, parts, least)
+    rules = _Rules(sums, plain, noise, tuple(allowed), turn, one_speed, parts(sums.kept()), least)
     state, chosen, search = _about_its_best(_about_lateness(_about_decimation(first, rules), rules), first, rules)
     every = rules
     for number in count(1):

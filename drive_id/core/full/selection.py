@@ -18,7 +18,7 @@ from drive_id.core.full.effect_search import (
     with_effects_only,
 )
 from drive_id.core.full.effects.catalogue import CATALOGUE
-from drive_id.core.full.effects.effect import Recorded, divided
+from drive_id.core.full.effects.effect import Recorded, parts
 from drive_id.core.full.linearized import EffectSearch
 from drive_id.core.full.model import PENALTIES, RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.resolution import HARMONIC_CELLS, Misfit, misfit_by_cell
@@ -449,10 +449,9 @@ def _with_wide_curve(search: EffectSearch, solution: FullSolution) -> FullSoluti
 def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
     """Return the effects that can be estimated from these data."""
     kept = sums.kept()
-    runs, parts = (1 + max(int(getattr(windows, name).max()) for windows in kept) for name in ("run", divided(kept)))
     known = Recorded(
-        runs=runs,
-        parts=parts,
+        runs=1 + max(int(windows.run.max()) for windows in kept),
+        parts=parts(kept),
         link=any(np.isfinite(windows.link).any() for windows in kept),
         temperatures=bool(settings.temperatures),
         pole_pairs=settings.pole_pairs > 0,

@@ -19,7 +19,7 @@ from drive_id.core.full.effect_report import (
 )
 from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects.catalogue import CATALOGUE
-from drive_id.core.full.effects.effect import MOST_PARTS, Calibration, divided
+from drive_id.core.full.effects.effect import MOST_PARTS, Calibration, parts
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.linearized import DELAY
 from drive_id.core.full.model import MAGNET, RESISTANCE
@@ -368,10 +368,9 @@ def _on_map(
 
 def _on_parts(fit: FullFit, *, misfit: bool) -> Iterator[Message]:
     """Yield a warning of more recordings than can have states of their own, where something is left to explain."""
-    kept = fit.selection.search.sums.kept()
-    parts = 1 + max(int(getattr(windows, divided(kept)).max()) for windows in kept)
-    if misfit and parts > MOST_PARTS:
-        yield Message("many_parts", parts=parts, most=MOST_PARTS)
+    number = parts(fit.selection.search.sums.kept())
+    if misfit and number > MOST_PARTS:
+        yield Message("many_parts", parts=number, most=MOST_PARTS)
 
 
 def _on_calibration(evidence: Evidence, fit: FullFit, calibrations: Sequence[Calibration]) -> Iterator[Message]:

@@ -48,6 +48,12 @@ def divided(kept: Iterable[Windows]) -> str:
     return "section" if max(int(windows.section.max()) for windows in kept) < MOST_PARTS else "recording"
 
 
+def parts(kept: Sequence[Windows]) -> int:
+    """Return the number of parts of the data."""
+    by = divided(kept)
+    return 1 + max(int(getattr(windows, by).max()) for windows in kept)
+
+
 @dataclass(frozen=True, eq=False)
 class Ends:
     """N windows, and what moves the currents at their ends."""
@@ -137,6 +143,12 @@ class Reported:
         told = {"value": value, "sigma": sigma, **more, "rivals": rivals, "several_speeds": self.several_speeds}
         shown, doubtful = float(scale * value), self.open or name == VOLTAGE_MISMATCH
         return Calibration(name, shown, float(scale * sigma), unit, True, Message(key or name, **told), doubtful)
+
+    def of_parts(self) -> Iterator[tuple[int, dict[str, float], float, float]]:
+        """Yield for each part but the first that has data its number from 1, what tells it, value and error."""
+        for k, (x, dx) in enumerate(zip(self.value, self.sigma, strict=True)):
+            if self.met(k):
+                yield k + 2, self.parts[k + 1], float(x), float(dx)
 
     @cached_property
     def amplitude(self) -> tuple[float, float]:

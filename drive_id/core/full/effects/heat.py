@@ -62,13 +62,12 @@ class CopperRecordings(DriveEffect):
         return [at.windows.current * own for own in at.of_parts()]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        for k, (x, dx) in enumerate(zip(found.value, found.sigma, strict=True)):
-            if found.met(k):
-                name, told = f"resistance_change_{k + 2}", _relative(found, x)
-                usual = _MOST_COOLED < told["kelvin"] < _MOST_WARMED
-                key = "resistance_change" if usual else "resistance_change.odd"
-                entry = found.entry(name, x, dx, "ohm", key, **found.parts[k + 1], **told)
-                yield entry if usual else replace(entry, doubtful=True)
+        for number, part, x, dx in found.of_parts():
+            name, told = f"resistance_change_{number}", _relative(found, x)
+            usual = _MOST_COOLED < told["kelvin"] < _MOST_WARMED
+            key = "resistance_change" if usual else "resistance_change.odd"
+            entry = found.entry(name, x, dx, "ohm", key, **part, **told)
+            yield entry if usual else replace(entry, doubtful=True)
 
 
 def _relative(found: Reported, x: float) -> dict[str, float]:

@@ -43,11 +43,8 @@ class AngleOfParts(OfParts):
         return [np.repeat(own[:, None], 2, axis=1).astype(np.float64) for own in at.of_parts()]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        for k, (x, dx) in enumerate(zip(found.value, found.sigma, strict=True)):
-            if found.met(k):
-                yield found.entry(
-                    f"angle_offset_change_{k + 2}", -x, dx, "rad", "angle_offset_change", **found.parts[k + 1]
-                )
+        for number, part, x, dx in found.of_parts():
+            yield found.entry(f"angle_offset_change_{number}", -x, dx, "rad", "angle_offset_change", **part)
 
 
 @dataclass(frozen=True)
@@ -60,10 +57,8 @@ class DropOfParts(OfParts):
         return [at.drop * own for own in at.of_parts()]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        for k, (x, dx) in enumerate(zip(found.value, found.sigma, strict=True)):
-            if found.met(k):
-                name = f"inverter_drop_change_{k + 2}"
-                yield found.entry(name, x, dx, "1", "inverter_drop_change", **found.parts[k + 1])
+        for number, part, x, dx in found.of_parts():
+            yield found.entry(f"inverter_drop_change_{number}", x, dx, "1", "inverter_drop_change", **part)
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,11 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from drive_id import interrupts
 from drive_id.errors import WorkerError
 from drive_id.fitting.processes import in_processes
 
@@ -120,21 +122,21 @@ def main() -> None:
     """Be the process of a round."""
     kind, share = sys.argv[1], float(sys.argv[2])
     signal.alarm(int(3 * BOUND))  # where nobody waits for it any more
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # which the background of a script ignores
     rng = random.Random(share)
     numbers = itertools.count() if "Ctrl-C" in kind else range(_ITEMS)
     bad = rng.randrange(_ITEMS)
     items = ((kind if number == bad else "", rng.random()) for number in numbers)
-    print("begun", flush=True)
-    try:
-        for number, result in enumerate(in_processes(item, items, _WORKERS)):
-            assert len(result) == _RESULT, number
-    except ValueError:
-        raise SystemExit(KINDS["bad item"]) from None
-    except WorkerError:
-        raise SystemExit(KINDS["process dies"]) from None
-    except KeyboardInterrupt:
-        raise SystemExit(KINDS["Ctrl-C"]) from None
+    with interrupts.taken():  # as a command does
+        try:
+            print("begun", flush=True)
+            with closing(in_processes(item, items, _WORKERS)) as results:
+                for number, result in enumerate(results):
+                    assert len(result) == _RESULT, number
+        except (ValueError, WorkerError):
+            raise SystemExit(KINDS[kind]) from None
+        except KeyboardInterrupt:
+            interrupts.last_word()
+            raise SystemExit(KINDS[kind]) from None
 
 
 if __name__ == "__main__":

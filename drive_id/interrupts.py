@@ -62,7 +62,8 @@ def taken() -> Iterator[None]:
         if _interrupts.timer is not None:
             _interrupts.timer.cancel()
         sys.unraisablehook = hook
-        signal.signal(signal.SIGINT, handler)
+        # After the last word, there is nothing left to interrupt: the end of Python's threads would print a traceback.
+        signal.signal(signal.SIGINT, signal.SIG_IGN if _interrupts.over else handler)
 
 
 @contextmanager

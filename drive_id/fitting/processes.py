@@ -37,7 +37,8 @@ def in_processes(
 ) -> Generator[Result]:
     """Yield ``work(item)`` of each item in order, computed by ``count`` processes, or by this one if that is 1.
 
-    The processes end with the iteration, also when it is left early or interrupted.
+    The processes end with the iteration. Who may leave it early, as by Ctrl-C, closes it (:func:`contextlib.closing`):
+    what the garbage collector closes can raise no further interrupt.
 
     With ``executor``, it computes instead, and goes on after the iteration; it has ``count`` workers, or an unknown
     number of them if that is 1.

@@ -40,6 +40,8 @@ _UNSEEN = 2.0
 the model lacks: 1.10 to 1.17 on good drives of the population, 7.1 where a variation of the DC link was misjudged."""
 OUTLYING = 20.0
 """Residuals of one batch, squared, relative to the median, from which on an event in time is told."""
+_WHILE = 1.0
+"""s, over which the DC link's mean is taken: ripples average out, and a battery falls more slowly."""
 _ALIKE = 0.5
 """Share of the best explanation above which another one is named, too."""
 _MOST_NAMED = 2
@@ -172,16 +174,16 @@ def _doubted_heat(entries: list[Calibration]) -> list[Calibration]:
 
 
 def _links(fit: FullFit) -> tuple[float, float]:
-    """Return the lowest and the highest mean of the DC-link voltage in a recording, V; NaN where it is not known."""
-    kept = fit.selection.search.sums.kept()
-    link, voltage, recording = (
-        np.concatenate([getattr(windows, name) for windows in kept]) for name in ("link", "voltage", "recording")
+    """Return the lowest and the highest mean of the DC-link voltage in a while, V; NaN where it is not known."""
+    link, voltage, recording, time = (
+        np.concatenate([getattr(windows, name) for windows in fit.selection.search.sums.kept()])
+        for name in ("link", "voltage", "recording", "time")
     )
     known = np.isfinite(link)
-    recording, voltage = recording[known], voltage[known]
-    products = (voltage.conj() * link[known]).real
-    weights = np.bincount(recording, np.abs(voltage) ** 2)
-    means = np.bincount(recording, products)[weights > 0] / weights[weights > 0]
+    _, whiles = np.unique([recording[known], time[known] // _WHILE], axis=1, return_inverse=True)
+    products, voltage = (voltage.conj() * link)[known].real, voltage[known]
+    weights = np.bincount(whiles, np.abs(voltage) ** 2)
+    means = np.bincount(whiles, products)[weights > 0] / weights[weights > 0]
     return (float(means.min()), float(means.max())) if len(means) else (np.nan, np.nan)
 
 

@@ -130,7 +130,7 @@ class Reported:
     drop: float  # of the inverter, mean of the phases at i_max, V
     pole_pairs: int | None
     link: float  # mean DC-link voltage, V; NaN where it is not known
-    links: tuple[float, float]  # lowest and highest mean of a recording, V, likewise
+    links: tuple[float, float]  # lowest and highest mean of a second, V, likewise
     ripple: float  # Hz
     time_constant: float  # of the winding's heat, s; infinite where it stays
     parts: tuple[dict[str, float], ...]  # recording, and time of its data where a pause ends within, s, of each part

@@ -25,7 +25,8 @@ _SMALL = 1e-4
 _MISSED = 0.05
 """Share of the variation that noise of the log may hide or feign: of variations of 1 %, 0.05 % of the voltage."""
 _LEVELS = 0.005
-"""Relative difference of the link's means from which on their reference matters: five times what maps are off by."""
+"""Relative difference of the link's means, each of a second, from which on their reference matters: five times what
+maps are off by."""
 _MOST_SHARE = 0.5
 """Beyond none or all of the drop that may seem to follow the link: the curve is that at its mean."""
 _MOST = 0.2

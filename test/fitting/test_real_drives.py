@@ -243,9 +243,7 @@ def test_a_dc_link_whose_log_cannot_be_right_or_decides_the_scale_is_warned_of()
     low = replace(samples, stamp=samples.stamp + 10**12, u_abc=samples.u_abc / 0.95, dc_link_voltage=0.95 * link)
     levels = told(samples, low)
     assert levels.values["low"] == pytest.approx(0.95 * levels.values["high"], rel=6e-3)
-    assert levels.values["rise"] == pytest.approx(
-        0.975 / 0.95 - 1, rel=0.15
-    )  # of 1 %, the drift leaves 0.2 % of a second
+    assert levels.values["rise"] == pytest.approx(0.975 / 0.95 - 1, rel=0.15)  # 0.2 % is left of the drift
     fall = np.linspace(1.0, 0.97, len(samples))  # a battery
     falls = told(
         replace(samples, u_abc=samples.u_abc * (link / link.mean() / fall)[:, None], dc_link_voltage=link.mean() * fall)

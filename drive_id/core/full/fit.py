@@ -221,6 +221,7 @@ def fit_full(
     sums = selection.search.sums
     noise = CurrentNoise.met(variance, sums.kept(), angle_variance)
     kept, solver, uncertain = sums.kept(), selection.solver, selection.solution
+    crossed = bool(np.isfinite(selection.crossings))
     while True:
         solution, by_noise = correct_attenuation(solver, uncertain, noise)
         if settings.passive_maps:
@@ -231,7 +232,7 @@ def fit_full(
         by_rivals = _with_rivals(solver, uncertain, selection)
         biases.append(undecided := _with_undecided(solver, uncertain, selection))
         changes = np.column_stack(
-            [batches, *biases, misfit.changes, *by_rivals.values(), _among_curves(solver, solution)]
+            [batches, *biases, misfit.changes, *by_rivals.values(), _among_curves(solver, solution, crossed)]
         )
         weak = _weakest(sums.model, solution, changes)
         if weak is None:
@@ -340,18 +341,19 @@ def _with_rivals(solver: Solver, solution: FullSolution, selection: Selection) -
     return out
 
 
-def _among_curves(solver: Solver, solution: FullSolution) -> FloatArray:
+def _among_curves(solver: Solver, solution: FullSolution, crossed: bool) -> FloatArray:
     """Return the change (size,) of the estimate with another curve of the inverter that moves R most, if beyond noise.
 
     Selecting a curve does not show that it is true, and R takes the difference. From one shape to the next, R may stand
-    still by accident: all of them count.
+    still by accident: all of them count. Where zero crossings disturb, the drop is no curve: they count also within
+    noise.
     """
     spec, out = solution.spec, np.zeros_like(solution.estimate)
     for wide in set(range(WIDE + 1)) - {spec.wide}:
         other = solver.solve(replace(spec, wide=wide))
         change = other.estimate - solution.estimate
         noise = np.sqrt(abs(other.variance_of_resistance - solution.variance_of_resistance))
-        beyond = spec.wide or abs(change[RESISTANCE]) > _BY_SHAPE * noise
+        beyond = spec.wide or crossed or abs(change[RESISTANCE]) > _BY_SHAPE * noise
         if beyond and abs(change[RESISTANCE]) > abs(out[RESISTANCE]):
             out = change
     return out

@@ -49,7 +49,7 @@ def review(
         *_on_decimation(evidence, estimate),
         *_on_map(evidence, estimate, limits),
         *estimate.warnings,
-        *_on_simulation(evidence, mad, limits),
+        *_on_simulation(evidence, estimate, mad, limits),
     )
 
 
@@ -133,8 +133,11 @@ def _on_map(evidence: Evidence, estimate: Estimate, limits: Limits) -> Iterator[
             yield Message("magnet_negative", flux=magnet, sigma=sigma)
 
 
-def _on_simulation(evidence: Evidence, mad: tuple[float, float], limits: Limits) -> Iterator[Message]:
+def _on_simulation(
+    evidence: Evidence, estimate: Estimate, mad: tuple[float, float], limits: Limits
+) -> Iterator[Message]:
+    crossed = any(said.code == "zero_crossings" for said in estimate.statements)  # its curve is a mean there
     if not np.isfinite(mad).all():
         yield Message("diverged", remedy=limits.remedy)
-    elif max(mad) > np.hypot(limits.mad * evidence.i_max, _BY_NOISE * np.sqrt(evidence.noise_variance)):
+    elif not crossed and max(mad) > np.hypot(limits.mad * evidence.i_max, _BY_NOISE * np.sqrt(evidence.noise_variance)):
         yield Message("simulation_off", mad=max(mad))

@@ -12,6 +12,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import selection
 from drive_id.core.full.fit import fit_full
+from drive_id.core.full.model import RESISTANCE as OF_R
 from drive_id.core.full.windows import SHORT_ANGLE, WINDOW_ANGLE, WindowCutter, Windows
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.core.result.identify import gather
@@ -85,6 +86,7 @@ def test_a_drop_that_does_not_is_kept_out_of_map_and_resistance(good_fit, stuck,
         patched.setattr(selection, "between_crossings", lambda *_: None)
         spoiled = fit(stuck)
     assert found.crossings > 5
+    assert found.assessment.changes[OF_R, -1] != 0, "where the drop is no curve, R depends on the curve's shape"
     phase = np.linspace(0.0, 2 * np.pi, 24)
     rows = without.model.flux.rows(150.0 * np.stack([np.cos(phase), np.sin(phase)], axis=1))
     psi, expected, wrong = (rows.dot(each.solution.estimate[each.model.map]) for each in (found, without, spoiled))

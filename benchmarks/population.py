@@ -102,8 +102,8 @@ def blamed(warning: Row) -> set[str]:
         return named(*(effect.partition(" ")[0] for effect in values["causes"].split(",")))
     if values.get("rivals"):  # which of them it is is open
         return named(code, *values["rivals"].split(","))
-    if "every" in values:  # a delay, told as that of a decimated log
-        return named("decimated")
+    if "every" in values or code == "decimated":  # a delay, told as that of a decimated log or of late currents
+        return named("decimated", "current_latency")
     if code == "misfit":
         code += ".time" if "time" in values else ".small_currents" if "low" in values else ""
     return named(code)

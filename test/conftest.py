@@ -50,6 +50,16 @@ APART = ("test/test_page_commands.py",)
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # in the background of a shell; tests interrupt processes
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+
+@pytest.fixture(autouse=True)
+def _sigint():
+    """Take SIGINT back from a command that was interrupted, which ignores it from its last word on."""
+    handler = signal.getsignal(signal.SIGINT)
+    yield
+    if signal.getsignal(signal.SIGINT) is not handler:
+        signal.signal(signal.SIGINT, handler)
+
+
 # Tests are not timed: the machine may be busy. The examples are the same each time, so that a push is judged by what it
 # changed; to look for others: DRIVE_ID_EXPLORE=1 make test ARGS="-m hypothesis"
 hypothesis.settings.register_profile("drive_id", deadline=None, derandomize="DRIVE_ID_EXPLORE" not in os.environ)

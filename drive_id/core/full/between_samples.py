@@ -155,8 +155,8 @@ def _held(delay: float) -> float:
 def _mean_inductances(model: FullModel, estimate: FloatArray, i_dq: FloatArray) -> FloatArray:
     """Return the inductances (N, 2, 2), H, of the map averaged over ``_SPAN`` around currents (N, 2), A."""
     span = _SPAN * model.i_max
-    radius = np.maximum(np.hypot(*i_dq.T), TINY)
-    inside = i_dq * np.minimum(1.0, (model.i_max - span) / radius)[:, None]
+    most = model.i_max - span
+    inside = i_dq * (most / np.maximum(np.hypot(*i_dq.T), most))[:, None]
     sides = [
         [model.flux.rows(inside + sign * shift).dot(estimate[model.map]) for sign in (1, -1)]
         for shift in span * np.eye(2)

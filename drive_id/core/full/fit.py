@@ -230,11 +230,11 @@ def fit_full(
         biases = [solver.shrinkage(solution), by_noise, UNCERTAIN_SHARE * solver.by_remainder(solution)]
         biases.append(by_delay := _by_delay(solver, uncertain, selection))
         by_rivals = _with_rivals(solver, uncertain, selection)
-        biases.append(undecided := _with_undecided(solver, uncertain, selection))
-        changes = np.column_stack(
-            [batches, *biases, misfit.changes, *by_rivals.values(), _among_curves(solver, solution, crossed)]
-        )
-        weak = _weakest(sums.model, solution, changes)
+        undecided = _with_undecided(solver, uncertain, selection)
+        own = np.column_stack([batches, *biases, misfit.changes])
+        among = np.column_stack([undecided, *by_rivals.values(), _among_curves(solver, solution, crossed)])
+        changes = np.hstack([own, among])
+        weak = _weakest(sums.model, solution, own)  # another model moves an effect: it does not show that there is none
         if weak is None:
             break
         effects = tuple(name for name in solution.spec.effects if name != weak)

@@ -260,7 +260,7 @@ def test_an_effect_whose_size_depends_on_an_open_one_stays(samples, monkeypatch)
     monkeypatch.setattr(full_fit, "_with_undecided", lambda *_: change)
     found = fitted(gains)
     assert found.spec.effects == (name,)
-    np.testing.assert_allclose(sigma(found.assessment.changes[own]), np.abs(change[own]), rtol=0.1)
+    assert np.all(sigma(found.assessment.changes[own]) >= np.abs(change[own]))
 
 
 @pytest.mark.accuracy

@@ -109,7 +109,7 @@ class _Templates(Formatter):
 
     - ``{clause}`` is replaced by the template of that name.
     - ``{x:.3g|m}`` is in thousandths; likewise ``k``, ``u``, ``deg`` (of rad), ``%``, and ``phase`` for a, b or c.
-    - ``{x:|nouns}`` is a list of effects, by the nouns for them.
+    - ``{x:|nouns}`` is a list of effects, by the nouns for them, the first ones if there are many.
     - ``{x:±{sigma} ohm}`` has a standard error, see :func:`~drive_id.quantity.measured`; shares in ``%``, rad in ``°``.
       ``{x:±{sigma} ohm of {resistance}}`` is in the unit for that size.
     - ``{x:# gap}`` is a number and what it counts, ``{x:#is//are}`` what agrees with it alone; a format may precede it.
@@ -158,8 +158,14 @@ def _percent(share: float, spec: str) -> str:
 
 def _nouns(names: str, _: str) -> str:
     parts = (name.partition(" ") for name in names.split(","))
-    return " or ".join(_catalogue()["noun"][name].format(number) for name, _, number in parts)
+    words = [_catalogue()["noun"][name].format(number) for name, _, number in parts]
+    more = len(words) - _MOST_NOUNS
+    first, last = (words[:_MOST_NOUNS], f"{more} others") if more > 1 else (words[:-1], words[-1])
+    return " or ".join([", ".join(first), last] if first else [last])
 
+
+_MOST_NOUNS = 3
+"""Effects that are named of a list: of more, one reads none."""
 
 _SHOWN: dict[str, Callable[[Any, str], str]] = {
     "%": _percent, "phase": lambda number, _: "abc"[int(number)], "nouns": _nouns,

@@ -96,6 +96,8 @@ def test_units_and_optional_parts():
         " This is open: flux that lags the current by 4 ms or a varying DC-link voltage would explain these data "
         "nearly as well; a faster trajectory would tell."
     )
+    many = {**rivals.values, "rivals": "flux_lag_4ms,dc_link,iron_loss,flux_lag,link_sag"}
+    assert "by 4 ms, a varying DC-link voltage, iron loss or 2 others would" in Message("iron_loss_current", **many)
 
 
 def test_a_sentence_without_its_values_is_refused():

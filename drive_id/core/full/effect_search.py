@@ -342,7 +342,7 @@ def _about_its_best(state: EffectSearch, first: EffectSearch, rules: _Rules) -> 
 
 
 def _taken(search: _Search, chosen: _Set) -> Iterator[Taken]:
-    """Yield the members of a set, that which saves most first, with those that would explain nearly as much.
+    """Yield the members of a set, that which saves most first, with those that would explain nearly as much, likewise.
 
     A delay is one of these if it turns the voltages by an angle that matters. What comes beside another effect has
     none: that one tells it.
@@ -350,13 +350,13 @@ def _taken(search: _Search, chosen: _Set) -> Iterator[Taken]:
     saved = {member: search.without(chosen, member).squares - chosen.squares for member in chosen.members}
     for member in sorted(saved, key=lambda name: -saved[name]):
         rivals = {
-            name
+            name: share
             for name, other, share in search.exchanged(chosen, member)
             if (share > 1 - _CLOSE or search.alike(other, chosen))
             and member not in _BESIDE
             and (name != DELAY or Delay(other.delay, 0.0).significant(search.rules.turn))
         }
-        yield Taken(member, tuple(sorted(rivals)))
+        yield Taken(member, tuple(sorted(rivals, key=lambda name: (-rivals[name], name))))
 
 
 def _undecided(search: _Search, chosen: _Set, rows: float) -> str:

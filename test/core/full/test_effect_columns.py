@@ -123,8 +123,9 @@ def iron(x, factor=1.0):
     return Drive(terminal=lambda t: plain_current(t) + x * factor * voltage(t))
 
 
-def lagging(x, lag):
-    return Drive(psi=lambda t: turning(t) * (dq_flux(t) - x * (dq_flux(t) - flux(current(t, lag)))))
+def lagging(x, lag, by_axis=lambda behind: behind):
+    """Let a share x of the flux lag, or of what ``by_axis`` makes of what it is behind by."""
+    return Drive(psi=lambda t: turning(t) * (dq_flux(t) - x * by_axis(dq_flux(t) - flux(current(t, lag)))))
 
 
 def heat(t):
@@ -187,6 +188,7 @@ CASES = {
     "late_compensation": (0, late_compensation, 1e-5),
     "flux_lag": (0, lambda x: Drive(psi=lambda t: plain_flux(t) - x * turning(t) * by_time(dq_flux, t)), 2e-5),
     **{f"flux_lag_{1e3 * lag:g}ms": (0, lambda x, lag=lag: lagging(x, lag), 0.01) for lag in LAGS},
+    "flux_lag_4ms, of psi_d more than of psi_q": (1, lambda x: lagging(x, 4e-3, np.conj), 0.01),
     "copper_heating": (0, lambda x: Drive(resistive=lambda t, i_s: (R + x * heat(t)) * i_s), 1e-3),
     "magnet_heating": (0, lambda x: Drive(psi=lambda t: plain_flux(t) + x * heat(t) * turning(t)), 1e-3),
     "magnet_heating, by current": (1, lambda x: Drive(psi=lambda t: turning(t) * flux(current(t) + x * heat(t))), 1.0),

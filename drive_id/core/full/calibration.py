@@ -158,23 +158,33 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     if not len(i_dq):
         return Calibration(name, 0.0, float("nan"), unit, False, Message("resolver_offset.one_sided"))
     mirror = np.array([1.0, -1.0])
+    gamma, changes = fit.solution.estimate[fit.model.map], fit.assessment.changes[fit.model.map]
 
-    def sides(angle: float) -> list[tuple[FloatArray, BasisRows]]:
-        return [(sign, fit.model.flux.rows(rotated(i_dq * sign, -angle))) for sign in (np.ones(2), mirror)]
+    def sides(angle: float) -> list[BasisRows]:
+        return [fit.model.flux.rows(rotated(i_dq * sign, -angle)) for sign in (np.ones(2), mirror)]
+
+    def between(one: FloatArray, other: FloatArray, angle: float) -> FloatArray:
+        return rotated(one, angle) - mirror * rotated(other, angle)
 
     def difference(angle: float) -> FloatArray:
         """Return the asymmetry (N, 2) of the map rotated back by an angle."""
-        one, other = (sign * rotated(rows.dot(gamma), angle) for sign, rows in sides(angle))
-        return np.asarray(one - other)
+        one, other = (rows.dot(gamma) for rows in sides(angle))
+        return between(one, other, angle)
+
+    def differences(angle: float) -> FloatArray:
+        """Return the same (B, N, 2) of each change of the map, by which it is uncertain."""
+        one, other = (
+            np.moveaxis((rows.sparse(len(gamma)) @ changes).reshape(len(i_dq), 2, -1), -1, 0) for rows in sides(angle)
+        )
+        return between(one, other, angle)
 
     def form(angle: float, weights: FloatArray) -> FloatArray:
         """Return the gradient (P,) of the sum of the differences times weights (N, 2) by the map's coefficients."""
         one, other = (
-            rows.sparse(len(gamma)).T @ rotated(sign * weights, -angle).ravel() for sign, rows in sides(angle)
+            rows.sparse(len(gamma)).T @ rotated(sign * weights, -angle).ravel()
+            for sign, rows in zip((np.ones(2), mirror), sides(angle), strict=True)
         )
         return np.asarray(one - other)
-
-    gamma = fit.solution.estimate[fit.model.map]
 
     def slope_at(angle: float) -> FloatArray:
         step = 1e-4
@@ -189,14 +199,19 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
         if abs(change) < _SETTLED:
             break
     slope = slope_at(angle)
-    moves = form(angle, slope) @ fit.assessment.changes[fit.model.map]
-    sigma = float(np.linalg.norm(moves) / np.sum(slope**2))
+    sigma = float(np.linalg.norm(form(angle, slope) @ changes) / np.sum(slope**2))
     size = float(np.abs(fit.model.flux.rows(i_dq).dot(gamma)).max())
-    asymmetry = float(np.sqrt(np.mean(difference(angle) ** 2))) / size
-    symmetric = bool(asymmetry <= _LARGEST_ASYMMETRY and abs(angle) <= 0.98 * _LARGEST_ANGLE)
-    wording = "resolver_offset" if symmetric else "resolver_offset.asymmetric"
-    said = Message(wording, value=angle, sigma=sigma, asymmetry=asymmetry)
-    return Calibration(name, angle, sigma, unit, symmetric, said)
+    left = float(np.sqrt(np.mean(difference(angle) ** 2)))
+    by_errors = float(np.sqrt(np.sum(differences(angle) ** 2) / slope.size))
+    # as much of a skew of the machine may look like an offset
+    skew = left / float(np.sqrt(np.mean(slope**2))) if left > _SIGNIFICANCE * by_errors else 0.0
+    told = {"value": angle, "sigma": float(np.hypot(sigma, skew)), "asymmetry": left / size, "skew": skew}
+    key, applied = "resolver_offset", True
+    if told["asymmetry"] > _LARGEST_ASYMMETRY or abs(angle) > 0.98 * _LARGEST_ANGLE:
+        key, applied = "resolver_offset.asymmetric", False
+    elif abs(angle) < _SIGNIFICANCE * skew:
+        key, applied = "resolver_offset.skew", False
+    return Calibration(name, angle, told["sigma"], unit, applied, Message(key, **told))
 
 
 def cross_talk(calibrations: Sequence[Calibration]) -> bool:
@@ -224,12 +239,13 @@ def _sensor_faults(calibrations: Sequence[Calibration]) -> tuple[float, float]:
 
 
 @one_blas_thread()
-def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray, faulty: float) -> FloatArray:
-    """Return the changes (size, K) of the estimate by gain errors common to the phases, as large as their mismatch.
+def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray, faulty: float) -> FloatArray:
+    """Return the changes (size, K) of the estimate by faults of the sensors that show in nothing but their company.
 
-    A phase with the gain 1 + e has a mismatch of abs(e) / 3 and adds e / 3 to the mean gain. Only the former can be
-    seen, so where a sensor is faulty, the latter is as uncertain as the former is large. Cross-talk between sensors
-    turns the currents as well.
+    Those are gain errors common to the phases, as large as their mismatch, and an offset of the angle as large as a
+    skew of the machine makes it look. A phase with the gain 1 + e has a mismatch of abs(e) / 3 and adds e / 3 to the
+    mean gain. Only the former can be seen, so where a sensor is faulty, the latter is as uncertain as the former is
+    large. Cross-talk between sensors turns the currents as well.
 
     Parameters
     ----------
@@ -241,17 +257,34 @@ def by_common_gain(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray,
     """
     values, of_currents = _applied(found), max(_sensor_faults(found))
     model, estimate = fit.model, fit.solution.estimate
-    of_voltage, of_current = np.zeros((2, model.size))
+    of_voltage, of_current, of_angle = np.zeros((3, model.size))
+    rows = model.flux.rows(i_dq)
+
+    def slopes() -> FloatArray:
+        return jacobian(model.flux, estimate[model.map], i_dq)
+
+    def by_flux(change: FloatArray) -> FloatArray:
+        """Return the change of the map's coefficients that comes closest to one (N, 2) of the flux."""
+        return np.asarray(lsqr(rows.sparse(model.flux.parameters), change.ravel())[0])
+
     if VOLTAGE_MISMATCH in values:
         of_voltage[:] = values[VOLTAGE_MISMATCH] * estimate
         of_voltage[model.effects] = 0.0
     if of_currents > faulty or cross_talk(found):
         # the same voltages at other currents: R i and f(i) are stretched along i
         of_current[RESISTANCE] = of_currents * fit.solution.resistance
-        slopes = jacobian(model.flux, estimate[model.map], i_dq)
-        rows = model.flux.rows(i_dq).sparse(model.flux.parameters)
-        of_current[model.map] = lsqr(rows, of_currents * np.einsum("nab,nb->na", slopes, i_dq).ravel())[0]
-    return np.stack([change for change in (of_voltage, of_current) if change.any()] or [of_voltage], axis=1)
+        of_current[model.map] = by_flux(of_currents * np.einsum("nab,nb->na", slopes(), i_dq))
+    if skew := next((_skew(entry) for entry in found if entry.name == "resolver_offset"), 0.0):
+        quarter = np.array([[0.0, 1.0], [-1.0, 0.0]])  # currents and fluxes turn together
+        turned = rows.dot(estimate[model.map]) @ quarter - np.einsum("nab,nb->na", slopes(), i_dq @ quarter)
+        of_angle[model.map] = by_flux(skew * turned)
+    return np.stack([change for change in (of_voltage, of_current, of_angle) if change.any()] or [of_voltage], axis=1)
+
+
+def _skew(offset: Calibration) -> float:
+    """Return the offset of the angle, rad, that a skew of the machine hides or feigns."""
+    skew = float(offset.message.values.get("skew", 0.0))
+    return skew if offset.applied or not skew else max(skew, abs(offset.value))
 
 
 def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:

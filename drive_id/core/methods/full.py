@@ -96,7 +96,7 @@ class FullMethod:
             *_on_map(evidence, fit, psi, sigma, inside),
             *_on_calibration(evidence, fit, found),
         )
-        earlier, scaled = EarlierFit.of(fit), calibration.by_common_gain(fit, found, grid[inside], _LARGE_MISMATCH)
+        earlier, scaled = EarlierFit.of(fit), calibration.by_hidden_faults(fit, found, grid[inside], _LARGE_MISMATCH)
         if scaled.any():
             changes = np.column_stack([scaled, fit.assessment.changes])
             fit = replace(fit, assessment=replace(fit.assessment, changes=changes))

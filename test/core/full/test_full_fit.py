@@ -249,6 +249,27 @@ def test_what_a_rival_of_an_effect_would_change_is_uncertain_and_told_if_it_matt
             assert entry.message.values["rivals"] == rival
 
 
+def skewed_flux(i_dq):
+    """Return the gradient of a co-energy that is not even in i_q: 0.5 % of the flux."""
+    d, q = np.moveaxis(i_dq, -1, 0)
+    return reciprocal_flux(i_dq) + 5e-9 * np.stack([2 * d * q, d**2], axis=-1)
+
+
+@pytest.mark.parametrize(("offset", "applied"), [(0.0, False), (0.05, True)])
+def test_a_skew_of_the_machine_makes_the_angle_uncertain_by_as_much(offset, applied):
+    """The map was turned by what the skew feigns, silently: 0.3 % of the flux, at 20 standard errors."""
+    samples = record(skewed_flux, drop=even_drop, duration=4.0, noise=0.3)
+    found = identify([replace(samples, angle=samples.angle + offset)], FULL)
+    (entry,) = (entry for entry in found.calibrations if entry.name == "resolver_offset")
+    assert entry.applied == applied
+    assert entry.value == pytest.approx(offset, abs=2 * entry.sigma)
+    assert 1e-3 < entry.sigma < 0.01
+    inside = found.flux_map.inside
+    psi = np.stack([found.flux_map.psi_d, found.flux_map.psi_q], axis=-1)[inside]
+    sigma = np.stack([found.flux_map.sigma_d, found.flux_map.sigma_q], axis=-1)[inside]
+    assert np.sqrt(np.mean(((psi - skewed_flux(found.flux_map.grid()[inside])) / sigma) ** 2)) < 2
+
+
 def test_one_segment_that_gains_most_does_not_prevent_the_rest_from_confirming(samples, monkeypatch):
     """Where the speed was reversed, iron loss that saves 94 % of the squares was left out, and R was 16 % off."""
     ours = effect_search.held_out

@@ -58,11 +58,11 @@ CAUSES = {
     "rotor": ("eccentric_rotor", "rotor_ecc*"),
     "phases": (
         "phase_resistance", "resistance_[abc]", "resistance_of_phase", "phase_inductance", "inductance_[abc]",
-        "inductance_of_phase",
+        "inductance_of_phase", "phase_drop", "inverter_drop_[abc]", "drop_of_phase",
     ),
     "inverter": (
         "devices", "drop_asymmetry*", "wide_curve", "drop_negative", "voltage_error_negative", "misfit.small_currents",
-        "late_compensation",
+        "late_compensation", "phase_drop", "inverter_drop_[abc]", "drop_of_phase",
     ),
     "dc": (
         "dc_link*", "link_*", "drop_by_link", "inverter_drop_by_link", "voltage_clipped", "misfit",

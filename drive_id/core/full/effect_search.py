@@ -188,7 +188,7 @@ class _Search:
         found, most = self.subset(names), _LATEST * self.rules.noise.period
         if self.rules.one_speed and any(abs(found.value(name, delay)[0]) > most for name in names & _LATE):
             return False
-        if not all(_plausible(name, float(found.value(name, delay)[0]), self.rules.noise) for name in names):
+        if not all(_plausible(name, found.value(name, delay), self.rules.noise) for name in names):
             return False
         return all(self._explains_misfit(names, name, delay) for name in names if CATALOGUE[name].of_link)
 
@@ -482,7 +482,7 @@ def with_effects_only(sums: WindowSums, search: EffectSearch, effects: tuple[str
 
 def plausible_effects(solution: FullSolution, model: FullModel, noise: CurrentNoise) -> tuple[str, ...]:
     """Return the effects of a solution with physically possible values."""
-    values = {name: float(solution.estimate[model.effect(name).start]) for name in solution.spec.effects}
+    values = {name: solution.estimate[model.effect(name)] for name in solution.spec.effects}
     return tuple(name for name, value in values.items() if _plausible(name, value, noise))
 
 
@@ -493,13 +493,11 @@ def effect_savings(
     if not names:
         return {}
     found = solver.savings(solution, {name: solver.model.effect(name) for name in names})
-    return {
-        name: saving if _plausible(name, float(value[0]), noise) else 0.0 for name, (saving, value) in found.items()
-    }
+    return {name: saving if _plausible(name, value, noise) else 0.0 for name, (saving, value) in found.items()}
 
 
-def _plausible(name: str, value: float, noise: CurrentNoise) -> bool:
-    """Tell whether the value of an effect is physically possible."""
+def _plausible(name: str, value: FloatArray, noise: CurrentNoise) -> bool:
+    """Tell whether the values (K,) of an effect are physically possible."""
     return CATALOGUE[name].plausible(value, noise.turn, noise.period)
 
 

@@ -174,6 +174,16 @@ def lopsided(x):
     return Drive(resistive=lambda _, i_s: R * i_s + x * more(i_s))
 
 
+def unequal_drops(x):
+    """Add the share x of the usual drop to that of phase a, and take it from that of phase c."""
+
+    def more(i_s):
+        shape = MODEL.shapes(frames.phases(i_s.ravel()))[:, :, 3] * [1.0, 0.0, -1.0]
+        return HEIGHT * frames.space_vector(shape).reshape(i_s.shape)
+
+    return Drive(resistive=lambda _, i_s: R * i_s + x * more(i_s))
+
+
 def power(t, u_s):
     """Return the power that the machine takes at the middle of the samples that begin at t, W."""
     return 1.5 * (u_s * plain_current(t + 0.5 * PERIOD).conj()).real
@@ -207,6 +217,7 @@ CASES = {
     "phase_inductance": (
         0, lambda x: Drive(psi=lambda t: plain_flux(t) + x * above_and_below_mean(plain_current(t))), 1e-5
     ),
+    "phase_drop": (0, unequal_drops, 0.05),
     "skin_effect": (0, lambda x: Drive(resistive=lambda _, i_s: (R + x * (1e-3 * SPEED) ** 2) * i_s), 1e-3),
     "drop_asymmetry": (1, lopsided, 0.05),
     "voltage_gains": (0, lambda x: Drive(logged=lambda _, u_s: u_s - x * u_s.conj()), 1e-3),

@@ -123,7 +123,7 @@ class EffectColumns:
             dropped=float(self.estimate[RESISTANCE]) * read
             + windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, drop),
             rectified=windows.drop_scale[:, None] * np.einsum("nlp,l->np", windows.rectified[:, :-1], drop),
-            drop=windows.drop_scale * frames.space_vector(np.einsum("nsp,sp->np", windows.shape, self._drops)),
+            drops=windows.drop_scale[:, None] * np.einsum("nsp,sp->np", windows.shape, self._drops),
             shapes=self.model.shapes.coarse,
             heat=heat,
             warmth=heat if self.winding is None else self.winding(windows),

@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.windows import Windows
 from drive_id.messages import Message
@@ -85,7 +86,7 @@ class Linearized(Ends):
     mean_flux: Callable[[ComplexArray], ComplexArray]  # f(i), averaged over the rotor position
     dropped: FloatArray  # (K, N), voltage in which each error of the current sensors is read, Vs
     rectified: FloatArray  # (N, 3), integral of the magnitude of the drop of each phase, Vs
-    drop: ComplexArray  # (N,), integral of the drop, Vs
+    drops: FloatArray  # (N, 3), integral of the drop of each phase, Vs
     shapes: Callable[[FloatArray], FloatArray]  # coarse shapes (..., S) of the drop at phase currents (...), A
     heat: FloatArray  # (N,), relative to the largest within a recording
     warmth: FloatArray  # (N,), rise of the winding's temperature, likewise
@@ -93,6 +94,11 @@ class Linearized(Ends):
     ripple: float  # Hz; 0 without
     filter: float  # time constant of the currents' filter, s; 0 without
     delay: float  # of the voltages, samples
+
+    @cached_property
+    def drop(self) -> ComplexArray:
+        """Integral (N,) of the drop, Vs."""
+        return frames.space_vector(self.drops)
 
     @cached_property
     def leading(self) -> ComplexArray:
@@ -210,9 +216,9 @@ class DriveEffect(ABC):
         """Tell whether recordings can show it."""
         return True
 
-    def plausible(self, value: float, _turn: float, _period: float) -> bool:
-        """Tell whether its first value is physically possible, with the angle per sample, rad, and the period, s."""
-        return not self.positive or value >= 0
+    def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:
+        """Tell whether values (K,) are physically possible, with the angle per sample, rad, and the period, s."""
+        return not self.positive or bool(value[0] >= 0)
 
     def shifts(self, _: Ends) -> list[ComplexArray]:
         """Return the currents (N, 2) that it adds to that of the map, per unit."""

@@ -71,8 +71,8 @@ class DropByLink(DriveEffect):
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return known.link
 
-    def plausible(self, value: float, _turn: float, _period: float) -> bool:  # noqa: D102
-        return -_MOST_SHARE < value < 1 + _MOST_SHARE
+    def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:  # noqa: D102
+        return bool(-_MOST_SHARE < value[0] < 1 + _MOST_SHARE)
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         square = np.maximum(np.abs(at.windows.voltage) ** 2, TINY)
@@ -97,8 +97,8 @@ class LinkRipple(DriveEffect):
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return known.runs <= MOST_RUNS and not known.link
 
-    def plausible(self, value: float, _turn: float, _period: float) -> bool:  # noqa: D102
-        return abs(value) < _MOST
+    def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:  # noqa: D102
+        return bool(abs(value[0]) < _MOST)
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return at.in_runs(RippleShape.of(at.windows).columns(at.ripple).T) if at.ripple else []

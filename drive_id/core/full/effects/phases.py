@@ -17,6 +17,7 @@ from drive_id.core.full.effects.effect import (
     Reported,
     between,
 )
+from drive_id.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class PhaseResistance(DriveEffect):
     width = 2
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return _above_mean(at.windows.current)
+        return _above_mean(frames.phases(at.windows.current))
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for phase, x, dx in _of_phases(found):
@@ -44,16 +45,28 @@ class PhaseInductance(PhaseResistance):
     price = 0.01  # of a misfit of the map, it explains what phases that differ in R do
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return _above_mean(between(at.currents * at.turn))
+        return _above_mean(frames.phases(between(at.currents * at.turn)))
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for phase, x, dx in _of_phases(found):
             yield found.entry(f"inductance_{'abc'[phase]}", x, dx, "H", "inductance_of_phase", phase=phase)
 
 
-def _above_mean(i_s: ComplexArray) -> list[ComplexArray]:
-    i_a, i_b, i_c = 2 / 3 * (frames.phases(i_s) * np.exp(1j * frames.PHASE_SHIFTS)).T
-    return [i_a - i_c, i_b - i_c]
+@dataclass(frozen=True)
+class PhaseDrop(PhaseResistance):
+    """Share of the drop of the phases a and b above the mean, c below it: dead times of the half-bridges differ."""
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return _above_mean(at.drops)
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        for phase, x, dx in _of_phases(found):
+            yield found.entry(f"inverter_drop_{'abc'[phase]}", x, dx, "1", "drop_of_phase", phase=phase)
+
+
+def _above_mean(of_phases: FloatArray) -> list[ComplexArray]:
+    a, b, c = 2 / 3 * (of_phases * np.exp(1j * frames.PHASE_SHIFTS)).T
+    return [a - c, b - c]
 
 
 def _of_phases(found: Reported) -> Iterator[tuple[int, float, float]]:

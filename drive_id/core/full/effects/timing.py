@@ -21,6 +21,8 @@ _MOST_TURNED = 0.25
 """Angle, rad, by which a late angle or current may turn the flux."""
 _LARGEST_LAG = 0.2
 """Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
+_OPPOSED = 0.1
+"""Share of one axis, relative to the other, by which noise may make a flux that does not lag seem to lead."""
 _MUCH_LAG = 0.05
 """Share of one flux from which on the map at rest depends on the time constant, which is one of three: of 2.8 % that
 follow in 50 ms, the map was 0.15 % off, of 6.3 % 0.8 %."""
@@ -52,8 +54,8 @@ class Latency(DriveEffect):
 
     turns, late, rotates, cause = True, True, True, "angle"
 
-    def plausible(self, value: float, turn: float, period: float) -> bool:  # noqa: D102
-        return abs(value) < min(MOST_DELAY, _MOST_TURNED / turn) * period
+    def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
+        return bool(abs(value[0]) < min(MOST_DELAY, _MOST_TURNED / turn) * period)
 
     def turned(self, at: Ends, value: FloatArray) -> FloatArray:  # noqa: D102
         return np.asarray(value[0] * at.windows.speed)
@@ -74,8 +76,8 @@ class CurrentLatency(Latency):
 
     cause = ""
 
-    def plausible(self, value: float, turn: float, period: float) -> bool:  # noqa: D102
-        return value > -_EARLIEST * period and super().plausible(value, turn, period)
+    def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
+        return bool(value[0] > -_EARLIEST * period) and super().plausible(value, turn, period)
 
     def turned(self, at: Ends, value: FloatArray) -> FloatArray:  # noqa: D102
         return -super().turned(at, value)  # the currents belong to an earlier angle
@@ -131,8 +133,9 @@ class LongFluxLag(DriveEffect):
     lag: float
     width, rotates, cause = 2, True, "flux"
 
-    def plausible(self, value: float, _turn: float, _period: float) -> bool:  # noqa: D102
-        return 0 <= value < _LARGEST_LAG
+    def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:  # noqa: D102
+        low, high = sorted(value[0] + value[1] * np.array([1.0, -1.0]))
+        return bool(low > -_OPPOSED * high and high < _LARGEST_LAG)
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         lagging = at.windows.lagging[..., -1] - at.windows.lagging[..., LAGS.index(self.lag)]

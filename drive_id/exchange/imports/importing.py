@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -21,6 +20,7 @@ from drive_id.exchange.imports.plausibility import check_plausible, large_flux, 
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.exchange.imports.source import Source
 from drive_id.files.results.identification import Provenance
+from drive_id.files.storage.bag import file_digest
 from drive_id.fitting.result import Identification
 from drive_id.messages import Message
 from drive_id.origins import IMPORTED
@@ -109,7 +109,7 @@ def _result(source: Source, points: MapPoints, statements: list[Message]) -> Ide
     )
     files = [source.path] if source.psi_q_file is None else [source.path, source.psi_q_file]
     provenance = Provenance(
-        inputs={str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
+        inputs={str(path): file_digest(path) for path in files},
         settings=FitSettings(),
         machine=source.machine or points.machine or source.path.stem,
         pole_pairs=None if pairs is None else round(pairs),

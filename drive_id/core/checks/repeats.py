@@ -34,15 +34,7 @@ _NOT_INDUCED = 0.2
 
 
 def repeat_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
-    """Yield currents that repeat, and parts without current whose voltages no machine has.
-
-    Parameters
-    ----------
-    runs : sequence of Samples
-        Excerpts of one gap-free run each.
-    i_max : float
-        Largest usual current, A.
-    """
+    """Yield repeated currents and parts without current whose voltages no machine has, by excerpts of one run each."""
     yield from _repeated(runs)
     yield from _tripped(runs, i_max)
 

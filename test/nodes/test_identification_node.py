@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from drive_bags import TRAJECTORY
-from ros_bench import require_ros, ros_bench
+from ros_bench import require_ros
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
@@ -29,13 +29,6 @@ CONFIG = Path(__file__).parent.parent.parent / "config"
 MODULE = "drive_id.nodes.identification"
 TOPICS = ("/phase_currents", "/phase_voltages", "/resolver")
 I_MAX = 300.0
-
-
-@pytest.fixture(scope="module")
-def ros():
-    """A bench for all tests."""
-    with ros_bench() as bench:
-        yield bench
 
 
 @pytest.fixture(scope="module")

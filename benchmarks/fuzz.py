@@ -256,7 +256,7 @@ _testers: list[Tester] = []
 
 def _begin(*of_tester: Any) -> None:
     """Load everything; drawing would take longer than all else."""
-    patch("drive_id.pictures.plots.result_pictures", return_value={}).start()
+    patch("drive_id.result.pictures.plots.result_pictures", return_value={}).start()
     _testers.append(Tester(*of_tester))
 
 

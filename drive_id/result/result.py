@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import Origin
+from drive_id.common.quantity import Quantity, html_table, measured, spelled
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.headline import headline
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results
-from drive_id.messages import Message
-from drive_id.origins import Origin
-from drive_id.pictures.caption import Caption
-from drive_id.quantity import Quantity, html_table, measured, spelled
 from drive_id.result.advice import advice
+from drive_id.result.pictures.caption import Caption
 from drive_id.result.tables import map_dataset, pandas_library
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drive_id.common.origins import ORIGINS
 from drive_id.core.result.identification import Cogging, Mechanics
 from drive_id.live.identification.identifier import Reply
 from drive_id.nodes.support.replies import fit_report_message, flux_map_message
-from drive_id.origins import ORIGINS
 
 
 @pytest.mark.parametrize("provisional", [False, True])

@@ -9,10 +9,10 @@ from math import gcd
 
 import numpy as np
 
+from drive_id.common.messages import Message, Value
 from drive_id.core import frames
 from drive_id.core.checks.balance import DELAYS, Excerpt, Reading, RoughFit, residuals, rough_fit
 from drive_id.core.numerics.largest import USUAL_QUANTILE
-from drive_id.messages import Message, Value
 from drive_id.types import FloatArray, Samples
 
 _BAD = 0.05

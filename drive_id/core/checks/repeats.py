@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
-from drive_id.messages import Message
 from drive_id.types import Samples
 
 _TURNING = 1e-3  # rad per sample, above which no current repeats by itself

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.checks.balance import Excerpt, rough_fit
 from drive_id.core.numerics.largest import USUAL_QUANTILE
-from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 _LARGEST_DUTY = 2 / np.sqrt(3) * 1.005  # of half the DC link: the corner of the hexagon, and rounding

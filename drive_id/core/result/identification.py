@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drive_id.common.origins import ORIGINS, Origin
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.methods.parameters import FitReport, Parameters
-from drive_id.origins import ORIGINS, Origin
 from drive_id.types import FloatArray
 
 if TYPE_CHECKING:

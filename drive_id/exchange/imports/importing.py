@@ -8,6 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import IMPORTED
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.methods.parameters import FitReport
@@ -22,8 +24,6 @@ from drive_id.exchange.imports.source import Source
 from drive_id.files.results.identification import Provenance
 from drive_id.files.storage.bag import file_digest
 from drive_id.fitting.result import Identification
-from drive_id.messages import Message
-from drive_id.origins import IMPORTED
 
 _COVERAGE_POINTS = 101  # along an axis, by which the covered share of the disc is counted
 

@@ -80,7 +80,7 @@ population: setup ## fit 300 random drives and compare with the truth: make popu
 safety: setup ## measure reaction times to trouble, ten times each: make safety ARGS="--rounds 0 --scripts 200"
 	@$(RUN) python benchmarks/safety.py $(ARGS)
 
-fuzz: setup ## try damaged and hostile inputs for a minute: make fuzz ARGS="--seconds 300", ARGS=--bombs
+fuzz: setup ## try damaged and hostile inputs for a minute: make fuzz ARGS="--seconds 300"
 	@$(RUN) python benchmarks/fuzz.py $(ARGS)
 
 endure: setup ## try hours of live identification, many requests and kills: make endure ARGS="--only kills --rounds 30"

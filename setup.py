@@ -39,10 +39,10 @@ EXECUTABLES = [
 
 def version() -> str:
     """Read the version from the source text: importing it would need the dependencies."""
-    text = Path(NAME, "version.py").read_text(encoding="utf-8")
+    text = Path(NAME, "common", "version.py").read_text(encoding="utf-8")
     found = re.search(r'^VERSION = "([^"]+)"$', text, re.MULTILINE)
     if found is None:
-        raise SystemExit(f'{NAME}/version.py has no line VERSION = "...": add it.')
+        raise SystemExit(f'{NAME}/common/version.py has no line VERSION = "...": add it.')
     return found.group(1)
 
 
@@ -86,12 +86,12 @@ setup(
     package_data={
         NAME: [
             "py.typed",
-            "messages.yaml",
+            "common/messages.yaml",
             "exchange/exports/writers/flux_map.h",
             "exchange/exports/writers/fmu/*",
             "files/messages/signals.schema.json",
             "reporting/page/templates/*",
-            "web/templates/*",
+            "reporting/web/templates/*",
         ]
     },
     data_files=shared_files(),

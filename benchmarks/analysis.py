@@ -43,22 +43,12 @@ _SCAN = np.deg2rad(0.05)
 
 @dataclass(frozen=True)
 class Figures:
-    """Errors of one analysis; those of the torque relative to the largest torque.
+    """Errors of one analysis; those of the torque relative to the largest torque."""
 
-    Parameters
-    ----------
-    torque, rms_torque : float
-        Largest and rms error over the points with data within the disc.
-    angle : float
-        Largest error of the MTPA angle, degrees.
-    torque_bands, L_dd_bands, L_qq_bands, L_dq_bands, angle_bands : float
-        Shares of the bands that contain the truth.
-    """
-
-    torque: float
-    rms_torque: float
-    angle: float
-    torque_bands: float
+    torque: float  # largest error over the points with data within the disc
+    rms_torque: float  # the rms of it
+    angle: float  # largest error of the MTPA angle, degrees
+    torque_bands: float  # share of the bands that contain the truth
     L_dd_bands: float
     L_qq_bands: float
     L_dq_bands: float

@@ -42,25 +42,13 @@ FAULTS = {
 
 @dataclass(frozen=True)
 class Case:
-    """One free shaft.
-
-    Parameters
-    ----------
-    name, machine : str
-    heavier : float
-        Inertia relative to that which the largest torque accelerates by 4000 rad/s^2.
-    swing : mapping
-        Settings of :class:`~drive_id.bench.swing.Swing`.
-    drive : mapping
-        Settings of the drive.
-    seconds : float
-    """
+    """One free shaft."""
 
     name: str
     machine: str
-    heavier: float = 1.0
-    swing: Mapping[str, float] = field(default_factory=dict)
-    drive: Mapping[str, Any] = field(default_factory=dict)
+    heavier: float = 1.0  # inertia relative to that which the largest torque accelerates by 4000 rad/s^2
+    swing: Mapping[str, float] = field(default_factory=dict)  # settings of :class:`~drive_id.bench.swing.Swing`
+    drive: Mapping[str, Any] = field(default_factory=dict)  # settings of the drive
     seconds: float = 20.0
 
 

@@ -3,7 +3,6 @@
     python benchmarks/fuzz.py --seconds 60               a random slice, other inputs each time
     python benchmarks/fuzz.py --seconds 300 --seed 1     the same inputs each time, as far as the time reaches
     python benchmarks/fuzz.py --replay sample_mcap:123   one input again; what is left of it is printed
-    python benchmarks/fuzz.py --bombs                    the inputs that are made to exhaust the reader
 
 Each input is given to ``drive-id`` in a process of its own, which is measured: more than 10 s of processor time or
 400 MB over what the program takes anyway (a fit with nine harmonics: 350 MB) is a finding, like any other end than a
@@ -37,7 +36,6 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from fuzz_bombs import BOMBS
 from fuzz_inputs import KINDS as BAG_KINDS
 from fuzz_inputs import SECONDS, TRAJECTORY, UNLIMITED, Case, Limit, make_corpus
 from fuzz_limits import LIMIT_KINDS
@@ -239,12 +237,7 @@ class Tester:
         folder = self._scratch / "case"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir()
-        if kind == "bomb":
-            name, make = list(BOMBS.items())[number]
-            case = Case(kind, number, name, make(self._corpus, folder))
-        else:
-            rng = random.Random(f"{kind}:{number}")
-            case = Case(kind, number, *KINDS[kind](self._corpus, folder, rng))
+        case = Case(kind, number, *KINDS[kind](self._corpus, folder, random.Random(f"{kind}:{number}")))
         good = self._good(*case.compare.split()) if case.compare else None
         given = {path.name for path in folder.iterdir()}
         ran = run(case.arguments, folder, case.limit)
@@ -263,7 +256,7 @@ _testers: list[Tester] = []
 
 def _begin(*of_tester: Any) -> None:
     """Load everything; drawing would take longer than all else."""
-    patch("drive_id.pictures.plots.result_pictures", return_value={}).start()
+    patch("drive_id.result.pictures.plots.result_pictures", return_value={}).start()
     _testers.append(Tester(*of_tester))
 
 
@@ -299,9 +292,6 @@ def main() -> None:
     parser.add_argument("--kinds", default="", help="names of kinds, with commas; default: all")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--replay", metavar="KIND:NUMBER", help="try one input again")
-    parser.add_argument(
-        "--bombs", metavar="WORD", nargs="?", const="", help="try the inputs made to exhaust the reader, all or some"
-    )
     parser.add_argument("--count", type=int, help="try so many inputs of each kind, one after the other, and no more")
     parser.add_argument("--findings", type=Path, default=Path("fuzz_findings.json"))
     parser.add_argument("--keep", type=Path, help="leave the corpus in this folder, and take it from there")
@@ -337,13 +327,10 @@ def _chosen(corpus: Path, kinds: list[str], options: argparse.Namespace) -> Iter
     if options.replay:
         kind, _, number = options.replay.partition(":")
         return tried([(kind, int(number))], 1, corpus, [kind], show=True)
-    chosen = [("bomb", k) for k, name in enumerate(BOMBS) if options.bombs is not None and options.bombs in name]
-    if chosen and not options.count:
-        return tried(chosen, 1, corpus, ())
     seed = options.seed if options.seed is not None else random.SystemRandom().randrange(1 << 32)
     print(f"Numbers from {seed}", flush=True)
     if options.count:
-        chosen += [(kind, seed + k) for k in range(options.count) for kind in kinds]
+        chosen = [(kind, seed + k) for k in range(options.count) for kind in kinds]
         return tried(chosen, 1, corpus, kinds)
     end = time.time() + options.seconds
     endless = ((kind, number) for number in itertools.count(seed) for kind in kinds)

@@ -52,26 +52,13 @@ UNLIMITED = Limit()
 
 @dataclass(frozen=True)
 class Case:
-    """One input, ready to be given to the command line.
-
-    Parameters
-    ----------
-    kind : str
-    number : int
-    damage : str
-        What was done to it, in words.
-    arguments : tuple of str
-        Of ``drive-id``; relative to the folder of the case.
-    compare : str
-        Name of the good input with whose map a map from this one must agree; empty: no map to compare.
-    limit : Limit
-    """
+    """One input, ready to be given to the command line."""
 
     kind: str
     number: int
-    damage: str
-    arguments: tuple[str, ...]
-    compare: str = ""
+    damage: str  # what was done to it, in words
+    arguments: tuple[str, ...]  # of ``drive-id``; relative to the folder of the case
+    compare: str = ""  # name of the good input with whose map a map from this one must agree; empty: no map to compare
     limit: Limit = UNLIMITED
 
 

@@ -15,7 +15,7 @@ from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from drive_id import interrupts
+from drive_id.common import interrupts
 from drive_id.errors import WorkerError
 from drive_id.fitting.processes import in_processes
 

@@ -26,19 +26,11 @@ BAND = 1.96
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors at the map's points with data, and of R: relative, and in standard errors.
+    """Errors at the map's points with data, and of R: relative, and in standard errors."""
 
-    Parameters
-    ----------
-    psi_d, psi_q : float
-        NRMSE.
-    z : (N, 2) float
-    resistance, resistance_z : float
-    """
-
-    psi_d: float
+    psi_d: float  # NRMSE
     psi_q: float
-    z: FloatArray
+    z: FloatArray  # (N, 2), in standard errors
     resistance: float
     resistance_z: float
 
@@ -68,24 +60,15 @@ def against(
 
 @dataclass(frozen=True)
 class Figures:
-    """Errors of one fit; all but the MAD are dimensionless.
-
-    Parameters
-    ----------
-    nrmse_d, nrmse_q : float
-    resistance : float
-        |R / (R_true + r) - 1|, r being the slope to which the true curve tends.
-    curve : float
-        Root mean square error of the inverter curve over [-i_max, i_max], the true one less r i, relative to ``unit``.
-    mad_d, mad_q : float
-        A; NaN when the simulation diverged.
-    """
+    """Errors of one fit; all but the MAD are dimensionless."""
 
     nrmse_d: float
     nrmse_q: float
-    resistance: float
+    resistance: float  # |R / (R_true + r) - 1|, r being the slope to which the true curve tends
     curve: float
-    mad_d: float
+    """Root mean square error of the inverter curve over [-i_max, i_max], the true one less r i, relative to
+    ``unit``."""
+    mad_d: float  # A; NaN when the simulation diverged
     mad_q: float
 
 

@@ -23,7 +23,7 @@ from selenium import webdriver
 import drive_id
 from drive_id.core import frames
 from drive_id.live.live_view import LiveView
-from drive_id.web.server import Feed, application
+from drive_id.reporting.web.server import Feed, application
 
 SECONDS = 10.0
 FITS = (0.3, 0.45, 0.65)

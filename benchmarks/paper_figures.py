@@ -20,10 +20,10 @@ from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import identify
 from drive_id.core.validation.metrics import true_flux
 from drive_id.fitting.simulated import run_experiment
-from drive_id.pictures.diagnostics import draw_inverter
-from drive_id.pictures.panels import CURRENT, PSI, Disc, add_colour_bar, add_key, draw_flux, levels, place
-from drive_id.pictures.picture import rendered
-from drive_id.pictures.plots import trajectory
+from drive_id.result.pictures.diagnostics import draw_inverter
+from drive_id.result.pictures.panels import CURRENT, PSI, Disc, add_colour_bar, add_key, draw_flux, levels, place
+from drive_id.result.pictures.picture import rendered
+from drive_id.result.pictures.plots import trajectory
 from drive_id.types import FloatArray, GroundTruth, Samples
 
 DPI = 140

@@ -96,7 +96,7 @@ def named(*names: str) -> set[str]:
 
 
 def blamed(warning: Row) -> set[str]:
-    """Return the causes that a warning, as :meth:`drive_id.messages.Message.tree` has it, names."""
+    """Return the causes that a warning, as :meth:`drive_id.common.messages.Message.tree` has it, names."""
     code, values = warning["code"], warning["values"]
     if values.get("causes"):
         return named(*(effect.partition(" ")[0] for effect in values["causes"].split(",")))

@@ -43,46 +43,27 @@ _BENCH_OFFSET = 1e-3
 
 @dataclass(frozen=True)
 class Row:
-    """Figures of one identification.
-
-    Parameters
-    ----------
-    experiment, machine, method : str
-    nrmse_d, nrmse_q : float
-        Dimensionless.
-    mad_d, mad_q : float
-        A; NaN when the simulation diverged.
-    resistance, true_resistance : float
-        Ohm.
-    voltage_error : float
-        u_e, or the height of the curve at i_max for ``full``, V.
-    """
+    """Figures of one identification."""
 
     experiment: str
     machine: str
     method: str
     nrmse_d: float
     nrmse_q: float
-    mad_d: float
+    mad_d: float  # A; NaN when the simulation diverged
     mad_q: float
-    resistance: float
+    resistance: float  # ohm
     true_resistance: float
-    voltage_error: float
+    voltage_error: float  # u_e, or the height of the curve at i_max for ``full``, V
 
 
 @dataclass(frozen=True, eq=False)
 class Reproduction:
-    """All that was computed.
-
-    Parameters
-    ----------
-    rows : tuple of Row
-    agreement : dict of str to float
-        Experiment to the largest difference between the maps of psm and joint, as a share of the largest flux.
-    """
+    """All that was computed."""
 
     rows: tuple[Row, ...]
     agreement: Mapping[str, float]
+    """Experiment to the largest difference between the maps of psm and joint, as a share of the largest flux."""
 
     def select(self, experiment: str) -> list[Row]:
         """Return the rows of one experiment."""

@@ -53,29 +53,15 @@ Spoil = Callable[[Samples, MachineMap], Samples]
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect: its settings for a machine, those of a second recording, and a mistake of the log.
-
-    Parameters
-    ----------
-    title : str
-    settings : callable
-        Returns the changed settings for a machine.
-    second : dict, optional
-        Further settings of a second recording, at the last of the speeds.
-    spoil : callable, optional
-        What a mistake makes of the samples.
-    short : bool
-        Also tried on the machines other than the first.
-    hexagon : bool
-        The DC link is so low that commands reach its hexagon.
-    """
+    """One effect: its settings for a machine, those of a second recording, and a mistake of the log."""
 
     title: str
     settings: Callable[[MachineMap], Changes] = field(default=lambda _: {})
-    second: Changes | None = None
-    spoil: Spoil | None = None
-    short: bool = False
-    hexagon: bool = False
+    """Returns the changed settings for a machine."""
+    second: Changes | None = None  # further settings of a second recording, at the last of the speeds
+    spoil: Spoil | None = None  # what a mistake makes of the samples
+    short: bool = False  # also tried on the machines other than the first
+    hexagon: bool = False  # the DC link is so low that commands reach its hexagon
 
 
 def of(**changes: Any) -> Callable[[MachineMap], Changes]:

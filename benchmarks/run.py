@@ -15,7 +15,6 @@ from pathlib import Path
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as drive-id sets it: before numpy is loaded
 
 import fleet
-import nodes
 import processes
 import safety
 import streams
@@ -38,7 +37,6 @@ def parts(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], S
         "growth": lambda: processes.growth(folder, lengths, repeats),
         "start": lambda: processes.start_up(folder, repeats),
         "live": lambda: streams.section(folder, repeats, 1.0 if options.quick else 10.0),
-        "nodes": lambda: nodes.section(repeats),
         "safety": lambda: safety.section(repeats),
         "fleet": lambda: fleet.section(folder, repeats, 60.0 if options.quick else fleet.SECONDS),
     }
@@ -55,7 +53,7 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description="Measure drive_id against stated baselines.")
     parser.add_argument(
-        "--only", default="", help="names of parts, with commas: process,cold,growth,start,live,nodes,safety,fleet"
+        "--only", default="", help="names of parts, with commas: process,cold,growth,start,live,safety,fleet"
     )
     parser.add_argument(
         "--hour", nargs="?", type=float, const=HOUR, metavar="SECONDS",

@@ -74,24 +74,12 @@ SERVICES = {"start_experiment": StartExperiment, "stop_experiment": Command, "cl
 
 @dataclass(frozen=True)
 class Hazard:
-    """Something that goes wrong.
+    """Something that goes wrong."""
 
-    Parameters
-    ----------
-    stated : float
-        Time within which the measured current is zero, s.
-    faults : dict
-        Parameters of the simulated drive.
-    act : str
-        Name of a method of :class:`Cell` instead, and of what undoes it with ``un_`` before it.
-    reason : str
-        Part of what the publisher says; empty if it need not trip.
-    """
-
-    stated: float
-    faults: dict[str, Any] = field(default_factory=dict)
-    act: str = ""
-    reason: str = ""
+    stated: float  # time within which the measured current is zero, s
+    faults: dict[str, Any] = field(default_factory=dict)  # parameters of the simulated drive
+    act: str = ""  # name of a method of :class:`Cell` instead, and of what undoes it with ``un_`` before it
+    reason: str = ""  # part of what the publisher says; empty if it need not trip
 
 
 HAZARDS = {

@@ -1,12 +1,9 @@
 """Empirical coverage of the standard errors of method ``full``: repeat an experiment with different noise and count.
 
     python benchmarks/uncertainty.py [--seeds 200] [--write]
-    python benchmarks/uncertainty.py --seeds 20 --slow-angle
 
 Prints the share of intervals of ±1.96 σ that contain the truth: of the fluxes at all map points with data within 97 %
 of the disc, of the resistance, and of the inverter curve. ``--write`` puts the table into docs/engineering/coverage.md.
-``--slow-angle`` prints the rms of error over standard error for drives whose speed ripples, with the angle recorded at
-every sample, every 10th and every 20th (docs/engineering/logs_measured.md).
 """
 
 from __future__ import annotations
@@ -24,11 +21,8 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather
-from drive_id.core.signals.rotor_interpolation import interpolated_rotor
-from drive_id.core.signals.signal import Signal
 from drive_id.core.validation.metrics import true_flux
 from drive_id.fitting.simulated import run_experiment
-from drive_id.types import Samples
 
 WITHIN = 0.97
 DRIVES = {
@@ -38,41 +32,16 @@ DRIVES = {
         "pmsyrm", SimulationSettings(current_noise=2e-3, speeds=(-300.0,), inverter="two_stage")
     ),
 }  # fmt: skip
-RIPPLES = {
-    "ipm, 500 rpm, 5 % at 50 Hz": (
-        "ipm", SimulationSettings(current_noise=2e-3, speed_ripple=0.05, ripple_order=6)
-    ),
-    "spm, 1500 rpm, 10 % at 150 Hz": (
-        "spm", SimulationSettings(current_noise=2e-3, speeds=(1500.0,), speed_ripple=0.1, ripple_order=6)
-    ),
-    "pmsyrm, -700 rpm, 5 % at 105 Hz, angle noise 2 mrad": (
-        "pmsyrm",
-        SimulationSettings(
-            current_noise=2e-3, speeds=(-700.0,), speed_ripple=0.05, ripple_order=9, resolver_noise=2e-3
-        ),
-    ),
-    "ipm, 800 rpm, 10 % at 240 Hz": (
-        "ipm", SimulationSettings(current_noise=2e-3, speeds=(800.0,), speed_ripple=0.1, ripple_order=18)
-    ),
-}  # fmt: skip
-"""Drives whose speed ripples; the last at nearly half the rate of an angle at every 20th sample."""
 SECONDS = 4.0
 DOCUMENT = Path(__file__).parent.parent / "docs" / "engineering" / "coverage.md"
 
 
-def with_slow_angle(samples: Samples, every: int) -> Samples:
-    """Return samples whose angle was recorded at every n-th of them only, without the speed, and interpolated."""
-    wrapped = np.angle(np.exp(1j * samples.angle[::every]))
-    found = interpolated_rotor(Signal("encoder", samples.stamp[::every], wrapped[:, None]), samples.stamp)
-    angle, speed = found.signal.values.T
-    return replace(samples.part(0, len(angle)), angle=angle, speed=speed, angle_error=found.error)
-
-
-def scores(machine: str, settings: SimulationSettings, seed: int, every: int = 1) -> tuple[np.ndarray, ...]:
+def scores(machine: str, settings: SimulationSettings, seed: int) -> tuple[np.ndarray, ...]:
     """Return errors over standard errors of psi_d and psi_q (N,), R (1,) and the inverter's curve (C,)."""
     simulation = run_experiment(machine_map(machine), replace(settings, seed=seed), None, SECONDS)
-    samples = with_slow_angle(simulation.samples, every) if every > 1 else simulation.samples
-    evidence = gather([samples], FitSettings(method="full", harmonic_orders=(6, 12), maps="reciprocal", grid_points=33))
+    evidence = gather(
+        [simulation.samples], FitSettings(method="full", harmonic_orders=(6, 12), maps="reciprocal", grid_points=33)
+    )
     found, truth = conclude(evidence, ()), simulation.truth
     current = found.inverter_current
     slope, drop = normalized_curve(truth, current)
@@ -88,29 +57,12 @@ def _share(found: list[tuple[np.ndarray, ...]], quantity: int) -> float:
     return float(np.concatenate([np.abs(one[quantity]) < BAND for one in found]).mean())
 
 
-def print_slow_angles(seeds: int) -> None:
-    """Print the rms of error over standard error of psi_d, psi_q and R for angles of several rates."""
-    print("| drive, speed ripple | every sample | every 10th | every 20th |\n|---|---|---|---|")
-    for name, (machine, settings) in RIPPLES.items():
-        cells = []
-        for every in (1, 10, 20):
-            found = [scores(machine, settings, seed, every)[:3] for seed in range(seeds)]
-            cells.append(
-                ", ".join(f"{np.sqrt(np.mean(np.concatenate(part) ** 2)):.2f}" for part in zip(*found, strict=True))
-            )
-        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
-
-
 def main() -> None:
     """Print and, if asked to, write the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, default=200)
     parser.add_argument("--write", action="store_true")
-    parser.add_argument("--slow-angle", action="store_true")
     arguments = parser.parse_args()
-    if arguments.slow_angle:
-        print_slow_angles(arguments.seeds)
-        return
     header = "| drive | psi_d | psi_q | R | inverter curve |\n|---|---|---|---|---|"
     lines = [header]
     print(header)

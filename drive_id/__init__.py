@@ -80,7 +80,7 @@ def __getattr__(name: str) -> object:  # noqa: C901, PLR0912  # one branch for e
     elif name == "simulate":
         from drive_id.fitting import simulated as home
     elif name == "__version__":
-        from drive_id import version as home
+        from drive_id.common import version as home
     else:
         raise AttributeError(f"module 'drive_id' has no attribute '{name}'")
     found: object = getattr(home, {"__version__": "VERSION", "export": "export_map"}.get(name, name))

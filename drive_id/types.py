@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.quantity import counted
 from drive_id.errors import ConfigurationError, DataError, NonFiniteError
-from drive_id.quantity import counted
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -8,9 +8,9 @@ import pytest
 import yaml
 
 from drive_id.bench.settings import SimulationSettings
+from drive_id.common.settings import from_mapping
 from drive_id.core.fit_settings import FitSettings
 from drive_id.files.messages.signals_file import read_signals
-from drive_id.settings import from_mapping
 
 CONFIG = Path(__file__).parent.parent / "config"
 LOADERS = {

@@ -136,7 +136,7 @@ def test_named_tests_exist():
     assert named <= defined
 
 
-CATALOGUE = yaml.safe_load((ROOT / "drive_id" / "messages.yaml").read_text(encoding="utf-8"))
+CATALOGUE = yaml.safe_load((ROOT / "drive_id" / "common" / "messages.yaml").read_text(encoding="utf-8"))
 ROWS = re.findall(
     r"^\| ([^|]+) \| [^|]+ \| (.*) \| .* \|$", (ROOT / "docs" / "findings.md").read_text("utf-8"), re.MULTILINE
 )

@@ -13,13 +13,10 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "drive_id"
-NOUNS = {
-    f"drive_id.{name}"
-    for name in (
-        "errors", "health", "interrupts", "messages", "origins", "quantity", "settings", "temperature", "types",
-        "version",
-    )
-}  # fmt: skip
+NOUNS = {"drive_id.errors", "drive_id.types"} | {
+    f"drive_id.common.{name}"
+    for name in ("health", "interrupts", "messages", "origins", "quantity", "settings", "temperature", "version")
+}
 ROS = {
     "action_msgs", "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch",
     "launch_ros", "lifecycle_msgs", "rcl_interfaces", "rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",
@@ -89,15 +86,16 @@ ROOMS = {
         set(),
     ),
     "drive_id.errors": Room.of(set(), set()),
-    "drive_id.health": Room.of(set(), set()),
-    "drive_id.interrupts": Room.of(set(), set()),
-    "drive_id.types": Room.of({"drive_id.errors", "drive_id.quantity"}, {"numpy"}),
-    "drive_id.origins": Room.of({"drive_id.errors"}, set()),
-    "drive_id.messages": Room.of({"drive_id.quantity"}, {"yaml"}),
-    "drive_id.quantity": Room.of(set(), set()),
-    "drive_id.temperature": Room.of(set(), set()),
-    "drive_id.version": Room.of(set(), set()),
-    "drive_id.settings": Room.of({"drive_id.errors"}, set()),
+    "drive_id.common": Room.of(set(), set()),
+    "drive_id.common.health": Room.of(set(), set()),
+    "drive_id.common.interrupts": Room.of(set(), set()),
+    "drive_id.types": Room.of({"drive_id.errors", "drive_id.common.quantity"}, {"numpy"}),
+    "drive_id.common.origins": Room.of({"drive_id.errors"}, set()),
+    "drive_id.common.messages": Room.of({"drive_id.common.quantity"}, {"yaml"}),
+    "drive_id.common.quantity": Room.of(set(), set()),
+    "drive_id.common.temperature": Room.of(set(), set()),
+    "drive_id.common.version": Room.of(set(), set()),
+    "drive_id.common.settings": Room.of({"drive_id.errors"}, set()),
     "drive_id.core": Room.of(set(), set()),
     **{
         f"drive_id.core.{name}": Room.of(
@@ -115,17 +113,18 @@ ROOMS = {
         )
         for name, rooms in FILES.items()
     },
-    "drive_id.pictures": Room.of(NOUNS | EVERY_CORE, {"numpy", "matplotlib"}),
+    "drive_id.result.pictures": Room.of(NOUNS | EVERY_CORE, {"numpy", "matplotlib"}),
     "drive_id.result": Room.of(
-        NOUNS | EVERY_CORE | EVERY_FILE | {"drive_id.pictures"}, {"numpy", "pandas", "xarray", "typing_extensions"}
+        NOUNS | EVERY_CORE | EVERY_FILE | {"drive_id.result.pictures"},
+        {"numpy", "pandas", "xarray", "typing_extensions"},
     ),
     "drive_id.fitting": Room.of(
-        NOUNS | LIBRARY | {"drive_id.pictures", "drive_id.reporting", "drive_id.result"},
+        NOUNS | LIBRARY | {"drive_id.result.pictures", "drive_id.reporting", "drive_id.result"},
         {"distributed", "matplotlib", "numpy"},
     ),
     "drive_id.inspection": Room.of(NOUNS | LIBRARY, {"numpy"}),
     "drive_id.analysis": Room.of(
-        NOUNS | LIBRARY | {"drive_id.pictures", "drive_id.result"}, {"numpy", "scipy", "matplotlib", "pandas"}
+        NOUNS | LIBRARY | {"drive_id.result.pictures", "drive_id.result"}, {"numpy", "scipy", "matplotlib", "pandas"}
     ),
     "drive_id.exchange": Room.of(set(), set()),
     "drive_id.exchange.exports": Room.of(
@@ -135,7 +134,7 @@ ROOMS = {
         NOUNS | LIBRARY | {"drive_id.analysis", "drive_id.fitting"}, {"numpy", "scipy"}
     ),
     "drive_id.reporting": Room.of(
-        NOUNS | LIBRARY | {"drive_id.analysis", "drive_id.inspection", "drive_id.pictures", "drive_id.result"},
+        NOUNS | LIBRARY | {"drive_id.analysis", "drive_id.inspection", "drive_id.result.pictures", "drive_id.result"},
         {"numpy", "rich", "matplotlib", "jinja2", "plotly"},
     ),
     "drive_id.live": Room.of(NOUNS | LIBRARY | {"drive_id.fitting"}, {"numpy"}),
@@ -159,16 +158,16 @@ ROOMS = {
         | LIVE,
         {"numpy", "rich", "yaml", *ROS},
     ),
-    "drive_id.web": Room.of(
+    "drive_id.reporting.web": Room.of(
         NOUNS | below("core", "maps", "result") | below("files", "results") | {"drive_id.result"},
         {"numpy", "jinja2", "starlette"},
     ),
     "drive_id.cli": Room.of(
         NOUNS
         | LIBRARY
-        | {"drive_id.analysis", "drive_id.fitting", "drive_id.inspection", "drive_id.pictures"}
+        | {"drive_id.analysis", "drive_id.fitting", "drive_id.inspection", "drive_id.result.pictures"}
         | {"drive_id.exchange.exports", "drive_id.exchange.imports"}
-        | {"drive_id.reporting", "drive_id.result", "drive_id.web"},
+        | {"drive_id.reporting", "drive_id.result", "drive_id.reporting.web"},
         {"typer", "rich", "uvicorn", "yaml"},
     ),
 }
@@ -322,8 +321,8 @@ def test_the_initial_modules_import_nothing():
     ("module", "source"),
     [
         ("drive_id.errors", "from drive_id.types import Samples"),
-        ("drive_id.types", "import drive_id.settings"),
-        ("drive_id.settings", "import numpy"),
+        ("drive_id.types", "import drive_id.common.settings"),
+        ("drive_id.common.settings", "import numpy"),
         ("drive_id.core.result.identify", "from drive_id.files.storage.bag import open_bag"),
         ("drive_id.core.result.identify", "import matplotlib.pyplot as plt"),
         ("drive_id.core.result.identify", "def f():\n    from drive_id.bench import drive"),
@@ -332,9 +331,9 @@ def test_the_initial_modules_import_nothing():
         ("drive_id.core.result.identify", "import importlib\nimportlib.import_module('rclpy')"),
         ("drive_id.core.result.identify", "__import__('mcap')"),
         ("drive_id.core.result.identify", "from drive_id import fitting"),
-        ("drive_id.bench.drive", "from drive_id.pictures.plots import to_png"),
+        ("drive_id.bench.drive", "from drive_id.result.pictures.plots import to_png"),
         ("drive_id.bench.drive", "import numba"),
-        ("drive_id.pictures.plots", "from drive_id.live.identification.identifier import Identifier"),
+        ("drive_id.result.pictures.plots", "from drive_id.live.identification.identifier import Identifier"),
         ("drive_id.result.result", "def f():\n    from drive_id.reporting.page.report import write_report"),
         ("drive_id.reporting.page.content", "from drive_id.fitting.result import Identification"),
         ("drive_id.core.numerics.bspline", "from drive_id.core.maps.coverage import Visits"),
@@ -349,7 +348,7 @@ def test_the_initial_modules_import_nothing():
         ("drive_id.files.storage.bag", "from drive_id.bench.drive import simulate"),
         ("drive_id.fitting.fit", "from drive_id.cli.app import app"),
         ("drive_id.fitting.fit", "from drive_id.nodes.recorder import main"),
-        ("drive_id.pictures.plots", "import typer"),
+        ("drive_id.result.pictures.plots", "import typer"),
         ("drive_id.nodes.recorder", "import drive_id.cli.app"),
         ("drive_id.nodes.recorder", "from drive_id import cli"),
         ("drive_id.nodes.support.qos", "from drive_id.nodes.recorder import main"),
@@ -369,7 +368,7 @@ def test_the_checker_sees_what_is_forbidden(module, source):
         ("drive_id.core.result.identify", "from drive_id.core import checks, frames"),
         ("drive_id.nodes.recorder", "import rclpy\nfrom drive_id.files.write.writer import write_recording"),
         ("drive_id.nodes.recorder", "from drive_id.fitting.fit import fit_bags"),
-        ("drive_id.cli.app", "from drive_id.version import VERSION\nfrom drive_id.fitting.fit import fit_bags"),
+        ("drive_id.cli.app", "from drive_id.common.version import VERSION\nfrom drive_id.fitting.fit import fit_bags"),
         ("drive_id.fitting.result", "def f():\n    from drive_id.reporting.page.report import write_report"),
         ("drive_id.core.checks.prescan", "from drive_id.core.accumulation.evidence import Evidence"),
     ],

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from drive_id import interrupts
 from drive_id.cli import app, console
+from drive_id.common import interrupts
 from drive_id.errors import DriveIdError
 from drive_id.files.results import folder
 from drive_id.files.results.folder import replace_file, replace_folder

@@ -16,10 +16,10 @@ from string import Formatter
 import pytest
 import yaml
 
-from drive_id.messages import Message
+from drive_id.common.messages import Message
 
 PACKAGE = Path(__file__).parent.parent / "drive_id"
-CATALOGUE = yaml.safe_load((PACKAGE / "messages.yaml").read_text(encoding="utf-8"))
+CATALOGUE = yaml.safe_load((PACKAGE / "common" / "messages.yaml").read_text(encoding="utf-8"))
 KINDS = ("error", "warning", "statement", "nothing", "advice")
 TEMPLATES = {key: text for kind in KINDS for key, text in CATALOGUE[kind].items()}
 FAMILIES = {

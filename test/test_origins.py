@@ -9,6 +9,7 @@ import pytest
 from steady_state import LinearDrive, disc_points, telemetry
 
 import drive_id
+from drive_id.common.origins import METHODS, ORIGINS, origin_named
 from drive_id.core.accumulation.evidence import Evidence, check_live
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, ResultError
@@ -19,7 +20,6 @@ from drive_id.fitting.completion import completed
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.simulated import simulate
 from drive_id.fitting.sources import Sources
-from drive_id.origins import METHODS, ORIGINS, origin_named
 from drive_id.reporting.page.content import Content, content_of
 from drive_id.reporting.page.operation import torque_map
 from drive_id.reporting.tables import fit_table

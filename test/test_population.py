@@ -120,7 +120,7 @@ def test_the_simulated_machine_is_the_true_one(population, number):
 
 
 def test_every_cause_in_a_warning_is_recognized(population):
-    for name in yaml.safe_load(resources.files("drive_id").joinpath("messages.yaml").read_text("utf-8"))["noun"]:
+    for name in yaml.safe_load(resources.files("drive_id.common").joinpath("messages.yaml").read_text("utf-8"))["noun"]:
         assert population.blamed(MISFIT | {"values": {"causes": f"{name} 18"}}), name
     assert population.blamed(MISFIT) == {"dc"}
     assert population.blamed(MISFIT | {"values": {"low": 9.0}}) == {"inverter", "dc"}
@@ -129,7 +129,7 @@ def test_every_cause_in_a_warning_is_recognized(population):
 
 def test_codes_of_causes_are_those_of_messages(population):
     """A renamed code would be taken for no cause."""
-    catalogue = yaml.safe_load(resources.files("drive_id").joinpath("messages.yaml").read_text("utf-8"))
+    catalogue = yaml.safe_load(resources.files("drive_id.common").joinpath("messages.yaml").read_text("utf-8"))
     nouns, _ = catalogue.pop("noun"), catalogue.pop("clause")
     codes = {key.partition(".")[0] for own in catalogue.values() for key in own}
     known = {*codes, *nouns}

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drive_id.quantity import Tabled, measured
+from drive_id.common.quantity import Tabled, measured
 
 SCALES = {"": 1, "m": Decimal("1e-3"), "µ": Decimal("1e-6"), "n": Decimal("1e-9"), "k": 1000, "M": 10**6, "G": 10**9}
 

@@ -10,6 +10,7 @@ import pytest
 
 from drive_id.bench.faults import FaultSettings
 from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.common.settings import Checked, from_mapping, setting
 from drive_id.core.experiment.encoder import Encoder
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.fit_settings import FitSettings
@@ -17,7 +18,6 @@ from drive_id.errors import ConfigurationError
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.recording.recording_settings import RecordingSettings
 from drive_id.live.translator import BridgeSettings
-from drive_id.settings import Checked, from_mapping, setting
 
 
 @dataclass(frozen=True)

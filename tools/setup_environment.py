@@ -253,7 +253,7 @@ def set_up(environment: Environment) -> None:
     ros = [] if environment.sourced else [tools / f"requirements-{environment.distro}.txt"]
     locks = [tools / f"lock-{environment.distro}.txt" for _ in ros]
     requirements = [tools / "requirements-dev.txt", *ros]
-    project = [ROOT / "setup.py", ROOT / "setup.cfg", ROOT / "drive_id" / "version.py"]
+    project = [ROOT / "setup.py", ROOT / "setup.cfg", ROOT / "drive_id" / "common" / "version.py"]
     # An environment holds absolute paths, so it does not survive being moved.
     origin = " ".join(["sourced" if environment.sourced else "index", environment.distro, sys.version, sys.base_prefix])
     origin = f"{environment.folder}: {origin}"

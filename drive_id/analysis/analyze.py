@@ -15,10 +15,10 @@ from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.operation import Operation, OperationErrors, changes
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus, characteristic_current, mtpa, mtpa_angle_changes, mtpv
+from drive_id.common.messages import Message
+from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.messages import Message
 from drive_id.result.result import Result
-from drive_id.temperature import REFERENCE_TEMPERATURE
 
 _RPM = math.pi / 30  # rad/s
 _FURTHEST = 4.0  # largest current of an analysis relative to that of the map

@@ -19,14 +19,14 @@ from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus
+from drive_id.common.messages import Message
+from drive_id.common.quantity import Tabled, plain
+from drive_id.common.version import VERSION
 from drive_id.files.inputs.archive import npz_bytes
 from drive_id.files.results.folder import replace_folder
-from drive_id.messages import Message
-from drive_id.quantity import Tabled, plain
 from drive_id.result.result import InverterCurve, Result
 from drive_id.result.tables import pandas_library
 from drive_id.types import BoolArray, FloatArray
-from drive_id.version import VERSION
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -68,37 +68,20 @@ class Figure(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SpeedRange:
-    """Capability of the drive over speed at one DC-link voltage.
+    """Capability of the drive over speed at one DC-link voltage."""
 
-    Parameters
-    ----------
-    u_dc : float
-        V.
-    limits : DriveLimits
-    corner : float
-        Speed up to which the largest torque needs no field weakening, rad/s.
-    motoring, braking : Operation
-        (S,) points of the largest and of the most negative torque over the speed; NaN where no operation is possible.
-    sigma_torque : (S,) float
-        Standard error of the largest torque, Nm.
-    requested : (N,) float
-        Torques of the table of references, Nm.
-    references : Operation
-        (R, N) points of least current over speed and requested torque; the nearest torque that can be reached, NaN
-        where no operation is possible.
-    errors : OperationErrors
-        Of the references.
-    """
-
-    u_dc: float
+    u_dc: float  # V
     limits: DriveLimits
-    corner: float
+    corner: float  # speed up to which the largest torque needs no field weakening, rad/s
     motoring: Operation
-    braking: Operation
-    sigma_torque: FloatArray
-    requested: FloatArray
+    """(S,) points of the largest torque over the speed; NaN where no operation is possible."""
+    braking: Operation  # (S,), likewise, of the most negative torque
+    sigma_torque: FloatArray  # (S,), standard error of the largest torque, Nm
+    requested: FloatArray  # (N,), torques of the table of references, Nm
     references: Operation
-    errors: OperationErrors
+    """(R, N) points of least current over speed and requested torque; the nearest torque that can be reached, NaN
+    where no operation is possible."""
+    errors: OperationErrors  # of the references
 
 
 _NAMED = {
@@ -182,14 +165,14 @@ class Analysis(Tabled):
         -------
         matplotlib.figure.Figure
         """
-        from drive_id.pictures.plots import draw_torque_speed  # noqa: PLC0415  # matplotlib takes half a second
+        from drive_id.result.pictures.plots import draw_torque_speed  # noqa: PLC0415  # matplotlib takes half a second
 
         found = {f"{x.u_dc:.4g} V": (x.motoring.speed, x.motoring.torque, x.sigma_torque) for x in self.speed_ranges}
         return draw_torque_speed(found, ax)
 
     def _repr_png_(self) -> bytes | None:
         """Return the picture of :meth:`plot`, for notebooks and exports of them; None without a DC-link voltage."""
-        from drive_id.pictures.picture import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
+        from drive_id.result.pictures.picture import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
 
         return rendered(self.plot(), dpi=SCREEN_DPI) if self.speed_ranges else None
 

@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from drive_id.analysis.bands import BY_SPEED, ModelErrors, combined
 from drive_id.analysis.iron_loss import IronLoss
+from drive_id.common.quantity import counted, measured
+from drive_id.common.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.core.maps.continuation import LongerGrid, continued
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.maps.flux_models import positive_definite
 from drive_id.core.maps.surfaces import Surfaces
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.quantity import counted, measured
-from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:

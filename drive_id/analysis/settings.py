@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drive_id.settings import Checked, setting
+from drive_id.common.settings import Checked, setting
 
 _SIX_STEP = 1.1027
 """Fundamental of six-step operation, 2/pi u_dc, over the largest sinusoidal voltage, u_dc / sqrt(3), rounded up."""

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drive_id.analysis.iron_loss import IronLoss
+from drive_id.common.settings import Checked, setting
+from drive_id.common.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.calibration import corrected
@@ -25,8 +27,6 @@ from drive_id.core.result.identification import TorqueFit
 from drive_id.core.result.torque import fit_torque
 from drive_id.errors import CoverageError
 from drive_id.result.result import Result
-from drive_id.settings import Checked, setting
-from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 _ACROSS = 8  # cells across the current disc

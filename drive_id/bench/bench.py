@@ -14,10 +14,10 @@ from drive_id.bench.profile import SpeedProfile
 from drive_id.bench.reference_buffer import ReferenceBuffer
 from drive_id.bench.scalars import scalar_strides
 from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.common.health import Health, Level
 from drive_id.core.experiment.encoder import Encoder
 from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.errors import ConfigurationError
-from drive_id.health import Health, Level
 from drive_id.types import NANOSECONDS, FloatArray, GroundTruth, MachineMap
 
 _SAMPLES_AT_ONCE = 5000  # most samples simulated in one call, so that references and services are served in between

@@ -17,9 +17,9 @@ from drive_id.bench.profile import SpeedProfile
 from drive_id.bench.real_drive import run
 from drive_id.bench.scalars import SCALAR_SETTINGS, logged_scalars
 from drive_id.bench.settings import SimulationSettings
+from drive_id.common.quantity import counted
 from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.quantity import counted
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
 SETTLING_TIME = 0.05  # for which the drive runs at its first reference before the first sample, s

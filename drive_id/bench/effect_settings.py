@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-from drive_id.settings import setting
-from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
+from drive_id.common.settings import setting
+from drive_id.common.temperature import COPPER, REFERENCE_TEMPERATURE
 
 MOST_ORDERS = 8  # of the eccentricity and of each kind of resolver error
 

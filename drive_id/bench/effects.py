@@ -17,7 +17,7 @@ from drive_id.bench.effect_settings import EFFECT_NAMES, LOG_ONLY, MOST_ORDERS
 from drive_id.bench.machine import Machine
 from drive_id.bench.parameters import DriveState, Plant
 from drive_id.bench.settings import SimulationSettings
-from drive_id.temperature import REFERENCE_TEMPERATURE
+from drive_id.common.temperature import REFERENCE_TEMPERATURE
 
 DEFAULT_ACCELERATION = 4000.0
 """Of the free shaft by the largest torque, mechanical, rad/s^2: that of a servo drive with a coupling."""

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-from drive_id.settings import Checked, setting
+from drive_id.common.settings import Checked, setting
 
 Message = TypeVar("Message")
 _OVERTAKEN = 0.03  # delay of a message that others overtake, s: more than the time between two of them

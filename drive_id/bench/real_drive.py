@@ -29,8 +29,8 @@ import numpy as np
 
 from drive_id.bench.kernels import control, current_of_flux, phase_drop, with_ripple, wrap
 from drive_id.bench.parameters import Controller, DriveState, Noise, PhaseDrop, Plant, Sensors, Signals
+from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.core.numerics.compiled import compiled
-from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import FloatArray
 
 _FINEST = 1024  # parts of a step, where the drop bends

@@ -7,7 +7,7 @@ import numpy as np
 from drive_id.bench.effects import Course
 from drive_id.bench.machine import Machine
 from drive_id.bench.settings import SimulationSettings
-from drive_id.temperature import REFERENCE_TEMPERATURE
+from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import SCALARS, FloatArray
 
 SCALAR_SETTINGS = ("log_scalars", "scalar_rate", "temperature_rate")

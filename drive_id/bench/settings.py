@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drive_id.bench.effect_settings import MOST_ORDERS, InverterEffects, MachineEffects, SensorEffects, ShaftEffects
+from drive_id.common.quantity import counted
+from drive_id.common.settings import Checked, setting
 from drive_id.errors import ConfigurationError
-from drive_id.quantity import counted
-from drive_id.settings import Checked, setting
 from drive_id.types import SCALARS
 
 INVERTERS = ("none", "tanh", "dead_time", "two_stage", "switching")

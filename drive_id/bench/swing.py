@@ -9,9 +9,9 @@ import numpy as np
 from drive_id.bench.drive import Drive, SimulatedBlock, Simulation, build_machine
 from drive_id.bench.effects import largest_torque, shaft_of
 from drive_id.bench.settings import SimulationSettings
+from drive_id.common.settings import Checked, setting
 from drive_id.core.experiment.free_shaft import FASTEST_SWING, FreeShaft, SpeedFeedback, swing_frequency
 from drive_id.errors import ConfigurationError
-from drive_id.settings import Checked, setting
 from drive_id.types import MachineMap, Samples
 
 _TICK = 0.01  # s, at which the feedback acts

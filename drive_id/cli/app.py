@@ -15,17 +15,17 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from drive_id import interrupts
 from drive_id.cli import console, options
 from drive_id.cli.archive import index_results, serve_results
 from drive_id.cli.logs import check_log, convert_log
 from drive_id.cli.maps import export_result, import_file
 from drive_id.cli.plan import plan_experiment
 from drive_id.cli.results import analyze, compare_results, report_result, verify_result
+from drive_id.common import interrupts
+from drive_id.common.quantity import counted
+from drive_id.common.version import VERSION
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError, OutputError
-from drive_id.quantity import counted
-from drive_id.version import VERSION
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

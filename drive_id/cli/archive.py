@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from drive_id.cli import console, options
+from drive_id.common.quantity import counted
 from drive_id.errors import ConfigurationError
-from drive_id.quantity import counted
 
 
 def index_results(
@@ -20,8 +20,8 @@ def index_results(
 ) -> None:
     """Write one page of all results below a folder: sorted, filtered, compared, and over time for each machine."""
     from drive_id.files.results.folder import is_result
-    from drive_id.web.archive import Archive, entries_of
-    from drive_id.web.page import archive_page, check_page_output, write_page
+    from drive_id.reporting.web.archive import Archive, entries_of
+    from drive_id.reporting.web.page import archive_page, check_page_output, write_page
 
     compared = len(folders) > 1 or is_result(folders[0])
     if compared and output is None:
@@ -55,7 +55,7 @@ def serve_results(
     try:
         import uvicorn
 
-        from drive_id.web.server import LOOPBACK, application, ros_found
+        from drive_id.reporting.web.server import LOOPBACK, application, ros_found
     except ModuleNotFoundError as error:
         raise ConfigurationError(
             f"drive-id serve needs {error.name}: pip install 'drive_id[web]'; drive-id index needs nothing."

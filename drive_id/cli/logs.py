@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from drive_id.cli import console, options
+from drive_id.common.quantity import counted
 from drive_id.errors import ConfigurationError, OutputError
-from drive_id.quantity import counted
 
 if TYPE_CHECKING:
     from drive_id.inspection.inspect import Inspection
@@ -36,7 +36,7 @@ def check_log(
     if picture is not None and found.overview is None:
         console.warn(f"{picture} was not drawn, for there are no joined samples.")
     elif picture is not None and found.overview is not None:
-        from drive_id.pictures.plots import overview_picture
+        from drive_id.result.pictures.plots import overview_picture
 
         replace_file(picture, overview_picture(found.overview, picture.suffix[1:]))
     if as_json:

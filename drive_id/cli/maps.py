@@ -7,8 +7,8 @@ from typing import Annotated
 import typer
 
 from drive_id.cli import console, options
+from drive_id.common.quantity import counted
 from drive_id.errors import ConfigurationError
-from drive_id.quantity import counted
 
 
 def import_file(
@@ -60,7 +60,7 @@ def import_file(
     from drive_id.exchange.imports.source import Source
     from drive_id.files.results.folder import check_output
     from drive_id.files.results.identification import results_tree, write_results
-    from drive_id.pictures.picture import rendered
+    from drive_id.result.pictures.picture import rendered
 
     scalars = _positive(pole_pairs=pole_pairs, resistance=resistance, i_max=i_max, u_dc=u_dc)
     conventions = Conventions(

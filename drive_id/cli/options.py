@@ -15,10 +15,10 @@ from rich.text import Text
 from typer.core import TyperCommand, TyperOption
 
 from drive_id.cli.console import printable
+from drive_id.common.quantity import spelled
+from drive_id.common.settings import from_mapping
 from drive_id.errors import ConfigurationError
 from drive_id.files.inputs.remote import url_of
-from drive_id.quantity import spelled
-from drive_id.settings import from_mapping
 
 Settings = TypeVar("Settings")
 _LARGEST_CONFIG = 1 << 20

@@ -8,8 +8,8 @@ import typer
 
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.cli import console, options
+from drive_id.common.quantity import plain
 from drive_id.errors import ConfigurationError
-from drive_id.quantity import plain
 
 _NOT_PASSED = 3
 """Exit code of a verification."""
@@ -115,9 +115,9 @@ def compare_results(
     """Compare two results where both have data: fluxes, resistance, inverter curve, torque."""
     from drive_id.files.results.folder import check_absent, replace_file
     from drive_id.fitting.result import load
-    from drive_id.pictures.picture import rendered
     from drive_id.reporting.difference import difference_table, draw_difference
     from drive_id.result.comparison import compare
+    from drive_id.result.pictures.picture import rendered
 
     if output is not None and not force:
         check_absent(output)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from drive_id.common.origins import METHODS, ORIGINS
+from drive_id.common.quantity import counted
+from drive_id.common.settings import Checked, setting
 from drive_id.errors import ConfigurationError
-from drive_id.origins import METHODS, ORIGINS
-from drive_id.quantity import counted
-from drive_id.settings import Checked, setting
 
 _MOST_FUNCTIONS = 1024  # of the paper's regression: memory grows with their square
 MOST_ORDERS = 8  # harmonics in a fit: memory grows with their square

@@ -8,6 +8,9 @@ from datetime import datetime, timezone
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import METHODS, ORIGINS
+from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import score
@@ -16,9 +19,6 @@ from drive_id.core.result.torque import with_torque
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.results.identification import Provenance
 from drive_id.fitting.result import Identification
-from drive_id.messages import Message
-from drive_id.origins import METHODS, ORIGINS
-from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import GroundTruth, Samples
 
 _YEAR_2000 = 946_684_800_000_000_000

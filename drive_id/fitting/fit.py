@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import ORIGINS, STATIC
 from drive_id.core.accumulation.accumulated import Accumulated
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import one_blas_thread
@@ -27,8 +29,6 @@ from drive_id.fitting.completion import completed
 from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources, accumulate_sources
 from drive_id.fitting.streaming import accumulate
-from drive_id.messages import Message
-from drive_id.origins import ORIGINS, STATIC
 from drive_id.types import Progress, Samples, silent
 
 Method = Literal["full", "joint", "psm", "locked", "static"]

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 
+from drive_id.common.messages import Message
 from drive_id.core.accumulation.accumulated import bounded
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import Spans
@@ -14,7 +15,6 @@ from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.same_drive import Compared, compared
 from drive_id.errors import DriveChangedError, DriveIdError
 from drive_id.files.read.drive_parts import DrivePart
-from drive_id.messages import Message
 from drive_id.types import Progress, Samples
 
 

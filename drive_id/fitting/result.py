@@ -76,7 +76,7 @@ class Identification(Result):
         judged = self.diagnostics if compared else self._judged(compared=False)
         files: dict[str, bytes] = {}
         if draw or report:
-            from drive_id.pictures.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
+            from drive_id.result.pictures.plots import result_pictures  # noqa: PLC0415  # matplotlib takes half a second
 
             drawn = self.drive, self.excerpts, self.caption()
             files |= result_pictures(*drawn, figure_format=figure_format, style=style)
@@ -126,13 +126,13 @@ class Identification(Result):
         matplotlib.figure.Figure
             A notebook shows it; ``savefig`` saves it.
         """
-        from drive_id.pictures.plots import draw_flux_maps, trajectory  # noqa: PLC0415  # matplotlib takes half a second
+        from drive_id.result.pictures.plots import draw_flux_maps, trajectory  # noqa: PLC0415  # matplotlib takes half a second
 
         return draw_flux_maps(self.flux_map, self.i_max, trajectory(self.excerpts), self.caption(), ax, style=style)
 
     def _repr_png_(self) -> bytes:
         """Return the picture of :meth:`plot`, for notebooks and exports of them."""
-        from drive_id.pictures.picture import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
+        from drive_id.result.pictures.picture import SCREEN_DPI, rendered  # noqa: PLC0415  # matplotlib takes half a second
 
         return rendered(self.plot(), dpi=SCREEN_DPI)
 

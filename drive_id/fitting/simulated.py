@@ -17,6 +17,7 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.scalars import scalar_strides
 from drive_id.bench.settings import SimulationSettings
 from drive_id.bench.swing import Swing, simulate_swing
+from drive_id.common.settings import from_mapping
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import ConfigurationError
@@ -24,7 +25,6 @@ from drive_id.files.machines.maps import read_machine
 from drive_id.files.results.folder import check_absent
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.result import Identification, load
-from drive_id.settings import from_mapping
 from drive_id.types import MachineMap, Samples
 
 _MOST_SAMPLES = 2e7  # they are held in memory, some hundred bytes each

@@ -18,6 +18,8 @@ from typing import TypeVar
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import ORIGINS
 from drive_id.core.accumulation.accumulated import Accumulated, bounded
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
@@ -35,8 +37,6 @@ from drive_id.files.results.information import read_information
 from drive_id.files.storage.bag import open_bag
 from drive_id.fitting.processes import in_processes
 from drive_id.fitting.streaming import accumulate
-from drive_id.messages import Message
-from drive_id.origins import ORIGINS
 from drive_id.types import Progress, Samples, silent
 
 Item = TypeVar("Item")

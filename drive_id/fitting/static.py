@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.static import identify_static
@@ -20,7 +21,6 @@ from drive_id.files.read.operating_log import OperatingLog, read_operating_log
 from drive_id.fitting.completion import completed
 from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources
-from drive_id.messages import Message
 from drive_id.types import Progress, Samples, silent
 
 

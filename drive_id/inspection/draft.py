@@ -8,6 +8,7 @@ from itertools import product
 
 import numpy as np
 
+from drive_id.common.quantity import counted
 from drive_id.core import frames
 from drive_id.core.checks.recognition import is_count
 from drive_id.core.signals.matching import nearest
@@ -21,7 +22,6 @@ from drive_id.inspection.duty import full_scale
 from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
 from drive_id.inspection.static_draft import is_slow, static_draft
-from drive_id.quantity import counted
 from drive_id.types import FloatArray
 
 _SAME_RATE = 0.005

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.quantity import Tabled, plain
 from drive_id.core.checks.overview import Overview, Overviewing
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.signals.join import SECTIONS
@@ -34,8 +36,6 @@ from drive_id.files.storage.bag import open_bag
 from drive_id.inspection.clock import stamped
 from drive_id.inspection.contents import Contents, Table, read_contents
 from drive_id.inspection.draft import Draft, propose
-from drive_id.messages import Message
-from drive_id.quantity import Tabled, plain
 from drive_id.types import Progress, silent
 
 _MUCH_JITTER = 0.1  # of the period, from which on the jitter of stamps is told

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.origins import ORIGINS
+from drive_id.common.quantity import plain, scaled_unit
 from drive_id.core.maps.flux_map import FluxMap
-from drive_id.origins import ORIGINS
-from drive_id.quantity import plain, scaled_unit
 
 _MOST_POINTS = 2000
 """Points between two looks: 40 s of them."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drive_id.health import Level, Observation
+from drive_id.common.health import Level, Observation
 
 
 @dataclass(frozen=True)

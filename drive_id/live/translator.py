@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.settings import Checked, setting
 from drive_id.core.signals.join import SECTIONS, JoinReport, Piece, StreamJoin
 from drive_id.core.signals.signal import Signal, block_stamps
 from drive_id.errors import ConfigurationError, DriveIdError
@@ -17,7 +18,6 @@ from drive_id.files.messages.signal_sources import SignalMap
 from drive_id.files.read.conversion import conversions
 from drive_id.files.read.extraction import INTERPOLATED, SignalBuilder
 from drive_id.files.storage.container import RawMessage, TopicInfo
-from drive_id.settings import Checked, setting
 from drive_id.types import Samples
 
 _BATCH = 100  # samples that are joined at once: 10 ms at 10 kHz

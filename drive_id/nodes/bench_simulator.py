@@ -16,12 +16,13 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from drive_id.bench.bench import MessageBlock, Pace, SimulatedBench
 from drive_id.bench.faults import Channel, FaultSettings
 from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.common.health import Health
+from drive_id.common.quantity import counted
 from drive_id.core.experiment import feedback
 from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ConfigurationError
 from drive_id.files.machines.ground_truth import write_truth
 from drive_id.fitting.simulated import load_machine
-from drive_id.health import Health
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.experiment_messages import stamp_of, status_message
@@ -29,7 +30,6 @@ from drive_id.nodes.support.parameters import declare_settings, on_change
 from drive_id.nodes.support.qos import STREAM
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.signal_messages import SignalPublishers
-from drive_id.quantity import counted
 
 _SHORTEST_TICK = 2e-3
 """Time between looks at which samples are due, s: shorter blocks are published several at once."""

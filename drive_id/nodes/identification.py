@@ -14,10 +14,12 @@ from drive_id_msgs.srv import Command, GetResult, Identify, ListResults
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from sensor_msgs.msg import PointCloud2
 
+from drive_id.common.health import Health, Level
+from drive_id.common.messages import Message
+from drive_id.common.quantity import counted
 from drive_id.core.accumulation.evidence import check_live
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import InactiveError
-from drive_id.health import Health, Level
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.identifier import DEACTIVATED, Identifier, Job, Reply, again
 from drive_id.live.identification.inbox import Inbox
@@ -26,7 +28,6 @@ from drive_id.live.identification.requests import Requests
 from drive_id.live.identification.result_folders import ResultFolders
 from drive_id.live.identification.warm_up import warm_up
 from drive_id.live.worker import Worker, return_free_memory, share_arenas
-from drive_id.messages import Message
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.deferred_service import MOST_LISTED, Lookups, in_executor
 from drive_id.nodes.support.diagnostics import publish_health
@@ -46,7 +47,6 @@ from drive_id.nodes.support.request_server import RequestServer
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.signal_messages import KINDS
 from drive_id.nodes.support.topics.live import LiveTopics
-from drive_id.quantity import counted
 from drive_id.types import SCALARS, Progress
 
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way, and at whether a background fit is due

@@ -14,8 +14,9 @@ from drive_id_msgs.msg import RecorderState
 from drive_id_msgs.srv import Command, ListRecordings, StartRecording, StopRecording
 from std_msgs.msg import Empty
 
+from drive_id.common.health import Health, Level
+from drive_id.common.quantity import counted
 from drive_id.errors import DriveIdError
-from drive_id.health import Health, Level
 from drive_id.live.data_directory import new_recording
 from drive_id.live.recording.clock_watch import ClockWatch
 from drive_id.live.recording.recorder_health import recorder_health
@@ -33,7 +34,6 @@ from drive_id.nodes.support.qos import LATCHED, STREAM_BEST_EFFORT, overridable
 from drive_id.nodes.support.recording_messages import recorder_state_message, recording_info
 from drive_id.nodes.support.runtime import run
 from drive_id.nodes.support.topics.recorded import RecordedTopics
-from drive_id.quantity import counted
 
 _STATE_PERIOD = 1.0  # s between messages of the state of a recording
 _MATCH_PERIOD = 0.25  # s between checks of who publishes

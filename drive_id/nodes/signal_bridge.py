@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from drive_id.common.health import Health, Level
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import read_signals
-from drive_id.health import Health, Level
 from drive_id.live.translator import BridgeSettings, SignalBlock, Translator
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.diagnostics import publish_health

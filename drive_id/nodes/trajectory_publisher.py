@@ -17,11 +17,11 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Bool, Empty
 from std_srvs.srv import Trigger
 
+from drive_id.common.health import Health, Level
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.experiment.state_machine import ExperimentState, ReferenceBlock
 from drive_id.core.experiment.supervision import Answer, SupervisedExperiment
 from drive_id.core.experiment.watchdog import CURRENTS, SIGNALS
-from drive_id.health import Health, Level
 from drive_id.nodes.support.clocks import STEADY
 from drive_id.nodes.support.diagnostics import publish_health
 from drive_id.nodes.support.experiment_messages import (

@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from rich.table import Table
 
-from drive_id.pictures.panels import PSI, SMALL, add_colour_bar, levels, name_currents, place
-from drive_id.quantity import scaled_unit
+from drive_id.common.quantity import scaled_unit
 from drive_id.reporting.tables import plain_table
 from drive_id.result.comparison import Comparison
+from drive_id.result.pictures.panels import PSI, SMALL, add_colour_bar, levels, name_currents, place
 from drive_id.result.result import Result
 from drive_id.types import FloatArray
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 from rich.table import Table
 
-from drive_id.quantity import counted, measured
+from drive_id.common.quantity import counted, measured
 
 if TYPE_CHECKING:  # the command line must start without loading the numerics
     from collections.abc import Iterable, Sequence

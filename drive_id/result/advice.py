@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from drive_id.common.messages import Message
 from drive_id.core.checks.radius import WEAK_COVERAGE
 from drive_id.core.maps.coverage import disc_coverage, enclosed
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.files.results.identification import Provenance
-from drive_id.messages import Message
 
 _ONE_SPEED = 0.1
 """Relative range of the speeds below which they count as one."""

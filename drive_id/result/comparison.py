@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.quantity import Tabled, measured, plain
 from drive_id.core.validation.metrics import nrmse
 from drive_id.errors import ConfigurationError, CoverageError
-from drive_id.quantity import Tabled, measured, plain
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import Origin
+from drive_id.common.quantity import Quantity, html_table, measured, spelled
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.headline import headline
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.identification import Provenance, read_judged, read_results
-from drive_id.messages import Message
-from drive_id.origins import Origin
-from drive_id.pictures.caption import Caption
-from drive_id.quantity import Quantity, html_table, measured, spelled
 from drive_id.result.advice import advice
+from drive_id.result.pictures.caption import Caption
 from drive_id.result.tables import map_dataset, pandas_library
 from drive_id.types import FloatArray, GroundTruth, MachineMap, Samples
 
@@ -47,24 +47,12 @@ _ANGLES_PER_PERIOD = 12
 
 @dataclass(frozen=True, eq=False)
 class InverterCurve:
-    """The identified voltage drop of one inverter phase.
+    """The identified voltage drop of one inverter phase."""
 
-    Parameters
-    ----------
-    current : (C,) float
-        A, increasing.
-    voltage : (C,) float
-        V, positive for positive current.
-    sigma : (C,) float or None
-        Standard error of ``voltage``, V; method ``full``.
-    phases : (C, 3) float or None
-        The drop of each phase, V, when each was given a curve of its own.
-    """
-
-    current: FloatArray
-    voltage: FloatArray
-    sigma: FloatArray | None = None
-    phases: FloatArray | None = None
+    current: FloatArray  # (C,), A, increasing
+    voltage: FloatArray  # (C,), V, positive for positive current
+    sigma: FloatArray | None = None  # (C,), standard error of ``voltage``, V; method ``full``
+    phases: FloatArray | None = None  # (C, 3), the drop of each phase, V, when each was given a curve of its own
 
 
 @dataclass(frozen=True, eq=False, repr=False)

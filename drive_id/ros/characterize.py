@@ -31,12 +31,12 @@ from rich.console import Console
 from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bar
 
+from drive_id.common.quantity import counted
 from drive_id.errors import DriveIdError, ExperimentError
 from drive_id.files.machines.ground_truth import decode_truth
 from drive_id.fitting.result import load
 from drive_id.nodes.support.arguments import ros_arguments
 from drive_id.nodes.support.replies import NAMES
-from drive_id.quantity import counted
 from drive_id.ros.bench import Bench, Identified
 from drive_id.ros.calls import Progress
 from drive_id.ros.comparison import comparison

@@ -13,6 +13,7 @@ from drive_id_msgs.action import FirstStart as FirstStartGoal
 from drive_id_msgs.srv import FirstStart
 from rclpy.node import Node
 
+from drive_id.common.settings import Checked, setting
 from drive_id.errors import DriveIdError, OutputError
 from drive_id.live.data_directory import new_recording
 from drive_id.live.identification.identifier import Job, Reply, failed
@@ -25,7 +26,6 @@ from drive_id.nodes.support.runtime import run
 from drive_id.ros.calls import Progress as Step
 from drive_id.ros.conductor import Conductor
 from drive_id.ros.first_start import Commissioned, commission
-from drive_id.settings import Checked, setting
 from drive_id.types import Progress
 
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way

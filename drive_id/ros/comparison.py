@@ -9,8 +9,8 @@ import numpy as np
 from drive_id_msgs.msg import FluxMap
 from rich.table import Table
 
+from drive_id.common.quantity import measured
 from drive_id.core.validation.metrics import nrmse, true_flux
-from drive_id.quantity import measured
 from drive_id.ros.bench import Identified
 from drive_id.types import GroundTruth
 

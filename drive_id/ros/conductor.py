@@ -42,24 +42,12 @@ _LEAST_SHARE = 0.9
 
 @dataclass(frozen=True)
 class Goal:
-    """What an experiment is to be; values that are 0 or empty are as the nodes are configured.
+    """What an experiment is to be; values that are 0 or empty are as the nodes are configured."""
 
-    Parameters
-    ----------
-    name : str
-        Of the recordings.
-    run : mapping of str to Any
-        Fields of ``StartExperiment``.
-    speeds : sequence of float
-        Electrical, rad/s, one for each recording; empty: one recording at any speed.
-    identify : mapping of str to Any or None
-        Fields of ``Identify`` besides ``bags``; None: record only.
-    """
-
-    name: str = ""
-    run: dict[str, Any] = field(default_factory=dict)
-    speeds: Sequence[float] = ()
-    identify: dict[str, Any] | None = None
+    name: str = ""  # of the recordings
+    run: dict[str, Any] = field(default_factory=dict)  # fields of ``StartExperiment``
+    speeds: Sequence[float] = ()  # electrical, rad/s, one for each recording; empty: one recording at any speed
+    identify: dict[str, Any] | None = None  # fields of ``Identify`` besides ``bags``; None: record only
 
 
 @dataclass(frozen=True)

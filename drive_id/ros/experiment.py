@@ -12,8 +12,9 @@ from drive_id_msgs.action import Experiment
 from rclpy.node import Node
 from std_msgs.msg import Empty
 
+from drive_id.common.health import Health
+from drive_id.common.settings import Checked, setting
 from drive_id.errors import DriveIdError, ExperimentError
-from drive_id.health import Health
 from drive_id.live.identification.identifier import Job, Reply, failed
 from drive_id.live.identification.requests import Requests, Stage
 from drive_id.live.worker import Cancelled
@@ -28,7 +29,6 @@ from drive_id.nodes.support.request_server import RequestServer
 from drive_id.nodes.support.runtime import run
 from drive_id.ros.calls import Progress as Step
 from drive_id.ros.conductor import STOP_TIME, Conductor, Goal, Recording
-from drive_id.settings import Checked, setting
 from drive_id.types import Progress
 
 _REQUEST_PERIOD = 0.1  # s between looks at the goal under way

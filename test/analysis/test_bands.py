@@ -16,9 +16,9 @@ from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelop
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.operation import Operation, OperationErrors
 from drive_id.analysis.trajectories import characteristic_current, mtpa, mtpv
+from drive_id.common.messages import Message
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.maps.error_modes import ErrorModes
-from drive_id.messages import Message
 from drive_id.types import MachineMap
 
 MACHINE = KINDS["surface magnets"]

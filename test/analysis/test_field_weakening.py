@@ -8,8 +8,8 @@ from machine_kinds import KINDS, mean_flux, mean_torque
 from drive_id.analysis.field_weakening import DriveLimits, corner_speed, envelope, references, top_speed
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.operation import Operation
+from drive_id.common.messages import Message
 from drive_id.core.full.effects.effect import Calibration
-from drive_id.messages import Message
 
 
 def drop(i):

@@ -10,10 +10,10 @@ from flashed_machines import folding, within
 from drive_id.analysis.machine import IronLoss, MachineModel
 from drive_id.analysis.operation import Operation
 from drive_id.bench.machines import MACHINES, machine_map
+from drive_id.common.messages import Message
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.maps.flux_models import positive_definite
 from drive_id.errors import ConfigurationError
-from drive_id.messages import Message
 from drive_id.types import MachineMap
 
 

@@ -15,9 +15,9 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.reference_buffer import ReferenceBuffer
 from drive_id.bench.scalars import logged_scalars
 from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.common.health import Level
 from drive_id.core.experiment.encoder import Encoder
 from drive_id.errors import ConfigurationError
-from drive_id.health import Level
 from drive_id.types import SCALARS
 
 MS = 1_000_000

@@ -22,11 +22,11 @@ from drive_bags import blocks_of, changed, renamed, with_arrays, wrapped, write_
 import drive_id
 from drive_id.cli import app as cli
 from drive_id.cli.options import merged_settings
+from drive_id.common.quantity import measured
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import OutputError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES
 from drive_id.files.write.writer import write_recording
-from drive_id.quantity import measured
 from drive_id.reporting.page import report
 from drive_id.result.advice import USUAL
 

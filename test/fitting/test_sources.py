@@ -22,6 +22,7 @@ from drive_bags import TRAJECTORY, with_arrays
 import drive_id
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
+from drive_id.common.messages import Message
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, DriveIdError, InformationError, NotABagError, WorkerError
 from drive_id.files.results.information import read_information, write_information
@@ -30,7 +31,6 @@ from drive_id.fitting.fit import accumulate_bags, fit_bags
 from drive_id.fitting.processes import in_order, in_processes
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources, accumulate_sources, pairwise
-from drive_id.messages import Message
 
 JOINT = FitSettings(method="joint")
 RADIUS = replace(JOINT, i_max=300.0)

@@ -1,14 +1,22 @@
-"""The fit with which several tests compare what the nodes reply."""
+"""A bench of nodes for each file, and the fit with which several tests compare what the nodes reply."""
 
 from __future__ import annotations
 
 import pytest
+from ros_bench import ros_bench
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
 
 I_MAX = 300.0  # A
+
+
+@pytest.fixture(scope="module")
+def ros():
+    """A bench for all tests of a file; those that need a fresh one each have a fixture of their own."""
+    with ros_bench() as bench:
+        yield bench
 
 
 @pytest.fixture(scope="session")

@@ -5,15 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from ros_bench import ros_bench
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
-
-
-@pytest.fixture(scope="module")
-def ros():
-    with ros_bench() as bench:
-        yield bench
 
 
 @pytest.fixture(scope="module")

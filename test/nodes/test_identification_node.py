@@ -11,31 +11,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from drive_bags import TRAJECTORY
-from ros_bench import require_ros, ros_bench
+from ros_bench import require_ros
 
-from drive_id.bench.machines import machine_map
-from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.result import load
-from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 MODULE = "drive_id.nodes.identification"
 TOPICS = ("/phase_currents", "/phase_voltages", "/resolver")
 I_MAX = 300.0
-
-
-@pytest.fixture(scope="module")
-def ros():
-    """A bench for all tests."""
-    with ros_bench() as bench:
-        yield bench
 
 
 @pytest.fixture(scope="module")
@@ -286,26 +275,6 @@ def test_bad_requests_are_answered_and_the_node_goes_on(ros):
     assert identify(ros, "bag").success
 
 
-def test_live_samples_that_make_no_map_get_the_errors_of_a_bag(ros, player, simulation, tmp_path):
-    from drive_id_msgs.srv import Command
-
-    held = simulation.samples
-    still = replace(held, angle=np.zeros(len(held)), speed=np.zeros(len(held)))
-    wrong = replace(held, speed=held.speed / 4)
-    few = replace(held, i_abc=np.random.default_rng(0).normal(size=held.i_abc.shape))
-    for samples, code in ((still, "standstill"), (wrong, "data"), (few, "coverage")):
-        assert ros.call(Command, "/identification/reset").success
-        path = tmp_path / code
-        write_recording(path, samples)
-        player.play(messages_of(path))
-        reply = identify_all(ros, 20_000)
-        assert (reply.success, reply.code) == (False, code), reply.message
-        shutil.copytree(path, ros.folder / "data" / code)
-        recorded = identify(ros, code)
-        assert recorded.code == code
-        assert reply.message.split(":")[0][:30] == recorded.message.split(":")[0][:30]
-
-
 class Diagnosis:
     """What the node says on ``/diagnostics`` while somebody is interested."""
 
@@ -504,28 +473,6 @@ def test_diagnostics_tell_of_losses(ros, player, bag):
 
     with Diagnosis(ros) as diagnosis:
         diagnosis.wait(told, "a warning of the loss")
-
-
-@pytest.mark.usefixtures("node")
-def test_a_weak_map_is_marked_on_the_topic_as_it_is_in_the_reply(ros):
-    """A trajectory within 0.3 of the radius: hardly anything of the map is data."""
-    from drive_id_msgs.msg import FluxMap
-
-    from drive_id.nodes.support.qos import LATCHED
-
-    settings = SimulationSettings(current_noise=1e-3, i_max=0.3 * I_MAX)
-    samples = run_experiment(machine_map("ipm"), settings, TRAJECTORY, seconds=2.0).samples
-    write_recording(ros.folder / "data" / "weak", samples)
-    got = []
-    subscription = ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED)
-    reply = identify(ros, "weak")
-    assert reply.success, reply.message
-    ros.wait(lambda: got and got[-1].header == reply.flux_map.header, "the map")
-    ros.node.destroy_subscription(subscription)
-    assert reply.report.coverage < 0.15
-    assert got[-1].coverage == reply.report.coverage
-    assert list(got[-1].warnings) == list(reply.report.warnings)
-    assert any("of the disc" in warning for warning in got[-1].warnings)
 
 
 def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag):

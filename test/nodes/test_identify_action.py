@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros_bench import require_ros, ros_bench
 from test_identification_node import I_MAX
 
 from drive_id.files.write.writer import write_recording
@@ -23,13 +22,6 @@ LONG = tuple(f"long_{number}" for number in range(3))
 SOON = 10.0
 """s, for a second on a machine that does nothing else."""
 STAGES = ["Waiting", "Reading", "Accumulating", "Solving", "Writing"]
-
-
-@pytest.fixture(scope="module")
-def ros():
-    require_ros()
-    with ros_bench() as bench:
-        yield bench
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros_bench import DEADLINE, own_domain, require_ros, ros_bench
+from ros_bench import DEADLINE, own_domain, require_ros
 from simulated_time import SimulatedTime, end_of, stamp_of
 
 from drive_id.files.read.several import read_recording
@@ -24,12 +24,6 @@ LISTENERS = {"phase_currents": "3", "phase_voltages": "2", "resolver": "4"}
 I_MAX = 100.0
 SECONDS = 2.0
 BLOCK = 10_001_000  # ns; a hundred samples at 10 kHz, and a bit for rounding
-
-
-@pytest.fixture(scope="module")
-def ros():
-    with ros_bench() as bench:
-        yield bench
 
 
 @pytest.mark.essential

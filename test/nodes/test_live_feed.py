@@ -7,13 +7,6 @@ import subprocess
 import sys
 
 import pytest
-from ros_bench import ros_bench
-
-
-@pytest.fixture(scope="module")
-def ros():
-    with ros_bench() as bench:
-        yield bench
 
 
 def test_it_prints_what_the_topics_of_its_drive_tell(ros, capsys):

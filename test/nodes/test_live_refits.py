@@ -4,14 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ros_bench import ros_bench
 from test_identification_node import I_MAX, MODULE, Diagnosis, Player, identify, messages_of
-
-
-@pytest.fixture(scope="module")
-def ros():
-    with ros_bench() as bench:
-        yield bench
 
 
 def start(ros, namespace, **parameters):

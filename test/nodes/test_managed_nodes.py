@@ -6,7 +6,7 @@ from collections import Counter
 from functools import partial
 
 import pytest
-from recorder_blocks import PERIOD, TOPICS, block
+from recorder_blocks import PERIOD, TOPICS
 from ros_bench import DEADLINE, require_ros, ros_bench
 from test_recorder_node import Bench, change_state
 
@@ -154,26 +154,6 @@ def test_each_of_many_requests_at_once_is_answered(ros):
         assert set(codes) <= {usual, "empty_topic"}
         assert codes[usual] >= least - 20
         ros.node.destroy_client(client)
-
-
-def test_blocks_out_of_order_are_neither_lost_by_the_recorder_nor_by_the_fit(ros):
-    """One of 22 blocks late, as a tester had it."""
-    from drive_id_msgs.srv import StartRecording, StopRecording
-
-    ros.host("drive_id.nodes.recorder", parameters={"data_directory": str(ros.folder)})
-    bench = Bench(ros)
-    bench.wait_for_listeners()
-    assert ros.call(StartRecording, "/recorder/start", name="bag").success
-    for number in sorted(range(257), key=lambda k: k + 7.5 * (k % 22 == 5)):
-        for topic in TOPICS:
-            bench.publishers[topic.name].publish(block(topic.type_name, 100 * number, 100))
-    bench.wait_until_delivered()
-    reply = ros.call(StopRecording, "/recorder/stop")
-    assert (reply.success, reply.code, reply.samples, reply.dropped) == (True, "ok", 25_700, 0)
-    from drive_id.files.read.several import read_recording
-
-    recording = read_recording(ros.folder / "bag")
-    assert (len(recording.samples), recording.samples.run_starts.tolist()) == (25_700, [0])
 
 
 def test_the_quality_of_service_of_outputs_is_a_parameter_and_that_of_safety_is_not():

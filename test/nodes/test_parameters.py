@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import pytest
 from ros_bench import require_ros
 
+from drive_id.common.settings import Checked, setting
 from drive_id.errors import ConfigurationError
-from drive_id.settings import Checked, setting
 
 
 @dataclass(frozen=True)

@@ -7,19 +7,12 @@ import inspect
 from pathlib import Path
 
 import pytest
-from ros_bench import require_ros, ros_bench
+from ros_bench import require_ros
 
 ROOMS = [Path(__file__).parent.parent.parent / "drive_id" / room for room in ("nodes", "ros")]
 PRIVATE = {"_parameter_overrides", "_exit"}
 """Node._parameter_overrides: the only place that shows what was given at the start: an empty array, and parameters that
 the node does not have. os._exit is Python's own."""
-
-
-@pytest.fixture(scope="module")
-def ros():
-    require_ros()
-    with ros_bench() as bench:
-        yield bench
 
 
 def test_no_other_private_member_is_used():

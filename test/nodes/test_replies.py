@@ -7,17 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import ORIGINS
 from drive_id.core.result.identification import Cogging, Mechanics
 from drive_id.live.identification.identifier import Reply
 from drive_id.nodes.support.replies import fit_report_message, flux_map_message
-from drive_id.origins import ORIGINS
 
 
 @pytest.mark.parametrize("provisional", [False, True])
 @pytest.mark.parametrize("name", [name for name, origin in ORIGINS.items() if origin.live])
 def test_a_flux_map_holds_a_curve_where_its_method_has_one_provisional_or_not(fitted, name, provisional):
     drive = replace(fitted.drive, method=name)
-    message = flux_map_message(Reply("ok", "", drive, provisional=provisional), "drive")
+    weak = Message("little_coverage", coverage=0.1, i_max=drive.i_max)
+    message = flux_map_message(Reply("ok", "", drive, warnings=(weak,), provisional=provisional), "drive")
+    assert (list(message.warnings), list(message.warning_codes)) == ([weak], ["little_coverage"])
+    assert message.coverage == drive.report.coverage
     assert message.method == name
     assert message.provisional == provisional
     points = len(drive.inverter_current) if name != "psm" else 0

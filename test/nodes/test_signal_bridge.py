@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from ros_bench import require_ros, ros_bench
 
 from drive_id.errors import ConfigurationError
 
@@ -20,13 +19,6 @@ voltages:
   stamp: index
   first_sample: "data[3]"
 """
-
-
-@pytest.fixture(scope="module")
-def ros():
-    require_ros()
-    with ros_bench() as bench:
-        yield bench
 
 
 def test_a_stranger_is_translated_and_nothing_is_lost(ros):

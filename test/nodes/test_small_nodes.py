@@ -8,7 +8,6 @@ import shutil
 from pathlib import Path
 
 import pytest
-from ros_bench import ros_bench
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 SUPPORT = Path(__file__).parent.parent / "support"
@@ -20,12 +19,6 @@ KEPT_AFTER_THE_FIRST = 10.0
 """MB more after the last fit than after the first: caches that fill once (2 MB seen)."""
 READY = 3.0
 """s of processor time: of elapsed time on a machine that does nothing else."""
-
-
-@pytest.fixture(scope="module")
-def ros():
-    with ros_bench() as bench:
-        yield bench
 
 
 def memory(process):

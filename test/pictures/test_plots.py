@@ -17,15 +17,15 @@ from matplotlib.backends.backend_pgf import LatexManager
 from matplotlib.image import imread
 from matplotlib.text import Text
 
+from drive_id.common.messages import Message
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.errors import ConfigurationError
-from drive_id.messages import Message
-from drive_id.pictures.caption import Caption
-from drive_id.pictures.diagnostics import draw_diagnostics
-from drive_id.pictures.panels import Disc, levels
-from drive_id.pictures.picture import rendered
-from drive_id.pictures.plots import draw_flux_maps, result_pictures, trajectory
+from drive_id.result.pictures.caption import Caption
+from drive_id.result.pictures.diagnostics import draw_diagnostics
+from drive_id.result.pictures.panels import Disc, levels
+from drive_id.result.pictures.picture import rendered
+from drive_id.result.pictures.plots import draw_flux_maps, result_pictures, trajectory
 
 NAMES = ["diagnostics.png", "flux_map.png"]
 BENCHMARKS = Path(__file__).parents[2] / "benchmarks"

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from drive_id.common.messages import Message
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.maps.flux_map import HarmonicMap
-from drive_id.messages import Message
 
 
 @pytest.fixture(scope="session")

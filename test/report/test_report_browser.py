@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from browser import check_quiet, driven, wait_for
 
-from drive_id.messages import Message
+from drive_id.common.messages import Message
 from drive_id.reporting.page.report import report_files
 
 pytestmark = pytest.mark.browser

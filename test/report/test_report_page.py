@@ -15,14 +15,14 @@ from report_page import Page
 from result_folder import forget_digests
 
 import drive_id
+from drive_id.common.messages import Message
+from drive_id.common.quantity import measured
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.errors import ConfigurationError, OutputError, ResultError
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.sources import Sources
-from drive_id.messages import Message
-from drive_id.quantity import measured
 from drive_id.reporting.page import pdf, report
 from drive_id.reporting.page.charts import MOST_POINTS, charts_of
 from drive_id.reporting.page.content import SECTIONS, content_of

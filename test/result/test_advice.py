@@ -9,10 +9,10 @@ import pytest
 from exact_results import exact_result
 
 from drive_id.bench.machines import machine_map
+from drive_id.common.messages import Message
 from drive_id.core.maps.coverage import disc_coverage
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.files.results.identification import Provenance
-from drive_id.messages import Message
 from drive_id.result.advice import advice
 
 

@@ -10,9 +10,9 @@ from exchange_machine import AT, I_D, I_MAX, I_Q, PAIRS, flux, grids, result
 
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.errors import CoverageError
-from drive_id.pictures.picture import rendered
 from drive_id.reporting.difference import difference_table, draw_difference
 from drive_id.result.comparison import compare
+from drive_id.result.pictures.picture import rendered
 
 
 def changed(sigma=1e-4, drop=None, **fields):

@@ -14,10 +14,10 @@ from typer.testing import CliRunner
 import drive_id
 from drive_id.cli.app import app
 from drive_id.errors import ConfigurationError, OutputError
+from drive_id.reporting.web.archive import Archive, _map
+from drive_id.reporting.web.archive import rows as told
+from drive_id.reporting.web.page import archive_page, write_page
 from drive_id.result.result import Result
-from drive_id.web.archive import Archive, _map
-from drive_id.web.archive import rows as told
-from drive_id.web.page import archive_page, write_page
 
 HOSTILE = "</script><script>alert(1)</script>"
 

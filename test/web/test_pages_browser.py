@@ -15,9 +15,9 @@ import pytest
 from browser import check_quiet, driven, wait_for
 
 from drive_id.live.live_view import LiveView
+from drive_id.reporting.web.archive import Archive
+from drive_id.reporting.web.page import archive_page, write_page
 from drive_id.result.comparison import compare
-from drive_id.web.archive import Archive
-from drive_id.web.page import archive_page, write_page
 
 pytestmark = pytest.mark.browser
 
@@ -179,7 +179,7 @@ def lines_of(fitted):
 def live(fitted, results, tmp_path):
     """A server whose feed prints the next piece whenever the file ``go`` grows."""
     uvicorn = pytest.importorskip("uvicorn", reason="the extra web is not installed")
-    from drive_id.web import server
+    from drive_id.reporting.web import server
 
     lines, go = tmp_path / "lines", tmp_path / "go"
     lines.write_text("".join(json.dumps(line) + "\n" for line in lines_of(fitted)))

@@ -10,7 +10,7 @@ import pytest
 
 testclient = pytest.importorskip("starlette.testclient", reason="the extra web is not installed")
 
-from drive_id.web.server import Feed, application  # noqa: E402  # needs the extra
+from drive_id.reporting.web.server import Feed, application  # noqa: E402  # needs the extra
 
 HOST = {"host": "127.0.0.1:8080"}
 
@@ -116,7 +116,7 @@ def test_a_page_that_does_not_keep_up_gets_the_whole_state_again():
 
 def test_a_feed_that_ends_is_started_again(monkeypatch):
     """With what its process prints; its end is said meanwhile."""
-    monkeypatch.setattr("drive_id.web.server._RESTART", 0.05)
+    monkeypatch.setattr("drive_id.reporting.web.server._RESTART", 0.05)
     line = "import json, os; print(json.dumps({'pid': os.getpid()}), flush=True); raise SystemExit(3)"
 
     async def scenario():

@@ -7,10 +7,10 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 
+from drive_id.common.messages import Message
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.signals.pieces import common_truth
 from drive_id.errors import ConfigurationError
-from drive_id.messages import Message
 from drive_id.types import GroundTruth, Samples
 
 VALIDATION_SECONDS = 2.0

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import ORIGINS
+from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import FLUX_CELLS, Visits, disc_coverage
@@ -20,9 +23,6 @@ from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, e
 from drive_id.core.numerics.scans import mark_rests
 from drive_id.core.paper.regression import RegressionSums
 from drive_id.errors import ConfigurationError
-from drive_id.messages import Message
-from drive_id.origins import ORIGINS
-from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, Samples
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without

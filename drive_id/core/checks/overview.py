@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.checks.radius import WEAK_COVERAGE
 from drive_id.core.maps.coverage import Visits, disc_coverage
 from drive_id.core.signals.join import Piece
-from drive_id.messages import Message
 from drive_id.types import FloatArray
 
 _POINTS = 4096  # of a curve: more than a picture has columns

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import FULL, ORIGINS
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import Spans
@@ -30,8 +32,6 @@ from drive_id.core.numerics.largest import KEPT, USUAL_QUANTILE, Largest, top_qu
 from drive_id.core.signals.join import Piece
 from drive_id.core.signals.signal import finite_rows
 from drive_id.errors import CoverageError, DataError, StandstillError
-from drive_id.messages import Message
-from drive_id.origins import FULL, ORIGINS
 from drive_id.types import FloatArray, Samples
 
 SPIKE_FACTOR = 1.2

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core.accumulation.evidence import DOMAIN_MARGIN, Evidence
 from drive_id.errors import CoverageError
-from drive_id.messages import Message
 
 _LEAST_COVERAGE = 0.05  # of the disc: a map of less is a line
 WEAK_COVERAGE = 0.45  # a quadrant or half a disc, and some more, is covered from which on nothing is said

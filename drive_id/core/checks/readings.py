@@ -9,10 +9,10 @@ from math import gcd
 
 import numpy as np
 
+from drive_id.common.messages import Message, Value
 from drive_id.core import frames
 from drive_id.core.checks.balance import DELAYS, Excerpt, Reading, RoughFit, residuals, rough_fit
 from drive_id.core.numerics.largest import USUAL_QUANTILE
-from drive_id.messages import Message, Value
 from drive_id.types import FloatArray, Samples
 
 _BAD = 0.05
@@ -69,15 +69,7 @@ _BETWEEN_PHASES = tuple(Reading(turned=half_turns) for half_turns in (-0.5, 0.5,
 
 
 def reading_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
-    """Yield findings on the meaning of the signals.
-
-    Parameters
-    ----------
-    runs : sequence of Samples
-        Excerpts of one gap-free run each.
-    i_max : float
-        Largest usual current, A.
-    """
+    """Yield findings on the meaning of the signals, from excerpts of one run each and the largest usual current, A."""
     excerpts = [Excerpt.of(run, i_max) for run in runs]
     declared = rough_fit(excerpts)
     if declared is None:

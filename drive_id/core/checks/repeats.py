@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
-from drive_id.messages import Message
 from drive_id.types import Samples
 
 _TURNING = 1e-3  # rad per sample, above which no current repeats by itself
@@ -34,15 +34,7 @@ _NOT_INDUCED = 0.2
 
 
 def repeat_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
-    """Yield currents that repeat, and parts without current whose voltages no machine has.
-
-    Parameters
-    ----------
-    runs : sequence of Samples
-        Excerpts of one gap-free run each.
-    i_max : float
-        Largest usual current, A.
-    """
+    """Yield repeated currents and parts without current whose voltages no machine has, by excerpts of one run each."""
     yield from _repeated(runs)
     yield from _tripped(runs, i_max)
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core.frames import ComplexArray
-from drive_id.messages import Message
 from drive_id.types import Samples
 
 _PERIODS = (5e-7, 0.02)

@@ -12,9 +12,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.numerics.largest import Largest
-from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
 
 _KEPT = 1 << 14  # largest bends: the quantile is exact up to 16 million samples

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.checks.balance import Excerpt, rough_fit
 from drive_id.core.numerics.largest import USUAL_QUANTILE
-from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 _LARGEST_DUTY = 2 / np.sqrt(3) * 1.005  # of half the DC link: the corner of the hexagon, and rounding
@@ -40,15 +40,7 @@ _MOST_REVERSING = 2
 
 
 def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
-    """Yield findings on the phases.
-
-    Parameters
-    ----------
-    runs : sequence of Samples
-        Excerpts of one gap-free run each.
-    i_max : float
-        Largest usual current, A.
-    """
+    """Yield findings on the phases, from excerpts of one run each and the largest usual current, A."""
     i_abc, u_abc = (np.concatenate([getattr(run, name) for run in runs]) for name in ("i_abc", "u_abc"))
     if not np.abs(frames.space_vector(u_abc)).max() > 0:
         yield Message("no_voltage")

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from drive_id.common.settings import Checked, setting
 from drive_id.core.experiment.first_start import FirstStart
 from drive_id.errors import ConfigurationError
-from drive_id.settings import Checked, setting
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.settings import Checked, setting
 from drive_id.errors import ConfigurationError
-from drive_id.settings import Checked, setting
 from drive_id.types import FloatArray
 
 SLOWEST_SWING = 5.0  # Hz; slower swings visit the disc too seldom

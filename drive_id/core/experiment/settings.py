@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from drive_id.common.settings import Checked, setting
 from drive_id.core.experiment.free_shaft import (
     FASTEST_SWING,
     TRIP_FACTOR,
@@ -15,7 +16,6 @@ from drive_id.core.experiment.free_shaft import (
 )
 from drive_id.core.experiment.trajectories import Lissajous, Spiral, Stair, Trajectory
 from drive_id.errors import ConfigurationError
-from drive_id.settings import Checked, setting
 
 FREE_SHAFT = "free_shaft"
 FIRST_START = "first_start"

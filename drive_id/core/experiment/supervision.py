@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
+from drive_id.common.health import Health, Level
 from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
 from drive_id.core.experiment.state_machine import Experiment, ExperimentState, ReferenceBlock
 from drive_id.core.experiment.watchdog import Fault, Watchdog
 from drive_id.errors import ConfigurationError
-from drive_id.health import Health, Level
 from drive_id.types import NANOSECONDS, FloatArray
 
 _SESSIONS = itertools.count((secrets.randbits(47) << 16) + 1)

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from drive_id.settings import Checked, setting
+from drive_id.common.settings import Checked, setting
 from drive_id.types import FloatArray
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse.linalg import lsqr
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.delay import Delay
@@ -17,7 +18,6 @@ from drive_id.core.full.model import CONSTANT, RESISTANCE
 from drive_id.core.full.windows import MOST_DELAY, SEARCHED
 from drive_id.core.maps.flux_models import BasisRows, jacobian
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.messages import Message
 from drive_id.types import TINY, BoolArray, FloatArray, Samples
 
 _SIGNIFICANCE = 3.0

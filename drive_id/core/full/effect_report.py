@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.effects.effect import CERTAIN, Calibration, Reported
@@ -19,7 +20,6 @@ from drive_id.core.full.standard_errors import sigma as fitted_sigma
 from drive_id.core.full.window_sums import MOST_KEPT
 from drive_id.core.full.windows import SEARCHED, STRIDE, Windows
 from drive_id.core.maps.flux_models import jacobian
-from drive_id.messages import Message
 from drive_id.types import FloatArray
 
 _NEGLIGIBLE = 5e-4

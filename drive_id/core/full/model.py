@@ -21,6 +21,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import sparse
 
+from drive_id.common.temperature import COPPER
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.resolution import Resolution
@@ -29,7 +30,6 @@ from drive_id.core.maps.coenergy import GradientSpline, PotentialSpline
 from drive_id.core.maps.flux_models import ColumnArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.core.numerics.compiled import compiled
-from drive_id.temperature import COPPER
 from drive_id.types import TINY, BoolArray, FloatArray, IntArray
 
 FLUX_DEGREE, HARMONIC_DEGREE = 4, 3

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.common.origins import ORIGINS
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
 from drive_id.core.full.delay import Delay
 from drive_id.core.full.effect_search import (
@@ -29,7 +30,6 @@ from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.core.full.zero_crossings import between_crossings, crossings_exceed
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.core.maps.inverter_curve import WIDE
-from drive_id.origins import ORIGINS
 from drive_id.types import TINY, FloatArray
 
 HIGHEST_ORDER = 48

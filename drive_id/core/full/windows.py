@@ -17,11 +17,11 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.core import frames
 from drive_id.core.frames import ROOT_THIRD, THIRD, ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes, drop_shape
 from drive_id.core.numerics.compiled import compiled
-from drive_id.temperature import REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 WINDOW_ANGLE = np.deg2rad(60.0)

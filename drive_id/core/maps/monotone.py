@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from drive_id.common.quantity import counted
 from drive_id.core.maps.coenergy import GradientSpline, bent_edges
 from drive_id.core.maps.convexity import HessianForms, barrier_minimum
 from drive_id.core.maps.flux_models import jacobian
@@ -26,7 +27,6 @@ from drive_id.core.maps.support import Support
 from drive_id.core.numerics.normal_equations import solved
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.quantity import counted
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 DEGREE = 4  # of the co-energy: the inductances are continuous with their first derivatives

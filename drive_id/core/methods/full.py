@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import ORIGINS
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import rotated
@@ -33,8 +35,6 @@ from drive_id.core.maps.flux_models import BasisRows
 from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Limits
 from drive_id.core.methods.parameters import FitReport
 from drive_id.errors import DataError
-from drive_id.messages import Message
-from drive_id.origins import ORIGINS
 from drive_id.types import TINY, BoolArray, FloatArray, Samples
 
 _POINTS = 256

@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from drive_id.common.messages import Message
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.methods.parameters import FitReport, Parameters
-from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, Samples
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without

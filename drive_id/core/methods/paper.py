@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import JOINT, PSM
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.maps.continuation import LongerGrid
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
@@ -18,8 +20,6 @@ from drive_id.core.methods.parameters import FitReport
 from drive_id.core.paper.regression import RegressionSums
 from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.paper.solver import Jackknife, Solution, jackknife, sigma, solve
-from drive_id.messages import Message
-from drive_id.origins import JOINT, PSM
 from drive_id.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without

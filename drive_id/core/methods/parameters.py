@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drive_id.messages import Message
+from drive_id.common.messages import Message
 from drive_id.types import FloatArray, Samples
 
 if TYPE_CHECKING:  # a stored result is read without scipy

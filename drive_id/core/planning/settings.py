@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.common.settings import Checked, setting
 from drive_id.errors import ConfigurationError
-from drive_id.settings import Checked, setting
 from drive_id.types import FloatArray, MachineMap
 
 _RIM_NODES = 720  # angles at which the voltage on the rim of the disc is sought

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drive_id.common.origins import ORIGINS
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import check_radius
@@ -21,7 +22,6 @@ from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
 from drive_id.core.validation.simulated_current import SimulatedCurrent, simulated_current
 from drive_id.errors import DataError, UnexplainedError
-from drive_id.origins import ORIGINS
 from drive_id.types import Samples
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.common.origins import JOINT, PSM
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
@@ -30,7 +31,6 @@ from drive_id.core.validation.residuals import (
 )
 from drive_id.core.validation.simulated_current import SimulatedCurrent
 from drive_id.errors import DataError
-from drive_id.origins import JOINT, PSM
 from drive_id.types import FloatArray, GroundTruth, Samples
 
 COMPARED = (PSM.name, JOINT.name)

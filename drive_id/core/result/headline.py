@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.quantity import Quantity
 from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.quantity import Quantity
 from drive_id.types import BoolArray, FloatArray
 
 _NODES = 6

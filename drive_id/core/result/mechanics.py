@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
@@ -21,7 +22,6 @@ from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import SIGNIFICANT, BlockRegression, is_one
 from drive_id.core.result.identification import Cogging, IdentifiedDrive, Mechanics
-from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 _Flux = Callable[[FloatArray, FloatArray], FloatArray]

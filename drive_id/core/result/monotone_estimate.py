@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core.methods.method import Estimate
 from drive_id.errors import DataError, UnexplainedError
-from drive_id.messages import Message
 from drive_id.types import FloatArray
 
 _FAR = 3.0

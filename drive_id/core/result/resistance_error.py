@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.messages import Message
+from drive_id.common.messages import Message
 from drive_id.types import FloatArray
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without

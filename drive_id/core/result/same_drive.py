@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.common.origins import ORIGINS
+from drive_id.common.quantity import measured
+from drive_id.common.temperature import COPPER
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.identification import IdentifiedDrive
-from drive_id.origins import ORIGINS
-from drive_id.quantity import measured
-from drive_id.temperature import COPPER
 
 MAGNET = 0.001
 """Relative loss of a magnet's flux, 1/K: that of NdFeB."""

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial import cKDTree
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import STATIC
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.maps.coverage import disc_coverage
@@ -29,8 +31,6 @@ from drive_id.core.steady.fit import (
 )
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.errors import UnexplainedError
-from drive_id.messages import Message
-from drive_id.origins import STATIC
 from drive_id.types import BoolArray, FloatArray
 
 _THIN = 0.01

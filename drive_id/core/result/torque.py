@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import SIGNIFICANT, BlockRegression, grouped, is_one
 from drive_id.core.result.identification import Cogging, IdentifiedDrive, TorqueFit
-from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 MOST_ORDER = 24

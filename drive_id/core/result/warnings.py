@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import radius_warnings
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.maps.flux_models import positive_definite
 from drive_id.core.methods.method import Estimate, Limits
-from drive_id.messages import Message
 from drive_id.types import BoolArray
 
 _BY_NOISE = 3.0  # mean deviation of a simulation from noisy currents that it begins with: twice their noise was seen

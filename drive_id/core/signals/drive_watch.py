@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from drive_id.common.messages import Message
 from drive_id.core.signals.signal import SampleCount
-from drive_id.messages import Message
 
 LEAST_OF_ONE_DRIVE = 2000
 """Samples of a part that is kept, 0.2 s at 10 kHz: two drives that publish at once give parts of a block each."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import grey_closing, minimum_filter1d
 
+from drive_id.common.quantity import counted
 from drive_id.errors import SamplePeriodError
-from drive_id.quantity import counted
 from drive_id.types import FloatArray, IntArray
 
 _BLOCKS = (1, 4, 8, 16, 32, 64, 128, 256, 512, 1024)

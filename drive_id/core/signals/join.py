@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.messages import Message
+from drive_id.common.quantity import counted
 from drive_id.core.signals.held_references import HeldReferences
 from drive_id.core.signals.matching import Phase, partners
 from drive_id.core.signals.period import check_agreement, measured_period, period_text
@@ -23,8 +25,6 @@ from drive_id.core.signals.scalar_track import ScalarTrack
 from drive_id.core.signals.signal import LARGEST_CUT, Signal
 from drive_id.core.signals.signal_track import MOST_HELD, SignalTrack
 from drive_id.errors import DataError, NoOverlapError, SamplePeriodError
-from drive_id.messages import Message
-from drive_id.quantity import counted
 from drive_id.types import SCALARS, FloatArray, IntArray, Samples, fixed
 
 SECTIONS = ("currents", "voltages", "resolver")

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.common.quantity import counted
 from drive_id.core.signals.signal import Signal
 from drive_id.errors import DataError
-from drive_id.quantity import counted
 from drive_id.types import FloatArray, IntArray
 
 _FEWEST = 4

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.quantity import counted
 from drive_id.core.numerics.scans import all_finite, rising
 from drive_id.core.signals.period import Spacings, usual_period
 from drive_id.core.signals.signal import LARGEST_CUT, LATEST, Signal, finite_rows
 from drive_id.errors import DataError, EmptyTopicError, NonFiniteError, SamplePeriodError, StampOrderError
-from drive_id.messages import Message
-from drive_id.quantity import counted
 from drive_id.types import FloatArray, IntArray
 
 _SAME_PERIOD = 1e-6  # relative change of a declared period that is rounding

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import stdtrit
 
+from drive_id.common.quantity import counted
+from drive_id.common.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.core.steady.drop import DropShapes
 from drive_id.core.steady.effects import EFFECTS, Effect, J, effect_columns
 from drive_id.core.steady.flux_bases import AffineBasis, CoEnergyBasis, FluxBasis, linearized
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.core.steady.regression import Equations, Posterior, solved
 from drive_id.errors import CoverageError, StandstillError
-from drive_id.quantity import counted
-from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray
 
 REACH = 1.05  # half width of the map by i_max

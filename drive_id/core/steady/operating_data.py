@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.quantity import counted
 from drive_id.errors import DataError, NonFiniteError
-from drive_id.quantity import counted
 from drive_id.types import FloatArray
 
 _OFF, _TURNING = 0.01, 0.1

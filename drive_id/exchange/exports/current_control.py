@@ -15,10 +15,10 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from drive_id.analysis.machine import halved
+from drive_id.common.quantity import counted
 from drive_id.exchange.exports.axes import clean
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
-from drive_id.quantity import counted
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 TOLERANCE = 0.2

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drive_id.settings import Checked, setting
+from drive_id.common.settings import Checked, setting
 from drive_id.types import FloatArray
 
 

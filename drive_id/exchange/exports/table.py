@@ -11,12 +11,12 @@ import numpy as np
 
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.ripple import TorqueRipple
+from drive_id.common.version import VERSION
 from drive_id.errors import ConfigurationError, CoverageError
 from drive_id.exchange.exports.axes import default_axis
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
-from drive_id.version import VERSION
 
 _PER_PERIOD = 12  # angles per period of the highest harmonic: linear interpolation is off by 3 % of it
 _LEAST_ANGLES = 4  # of a table over the angle, without harmonics too

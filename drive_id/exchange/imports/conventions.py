@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.settings import Checked, setting
 from drive_id.exchange.imports.points import MapPoints
-from drive_id.settings import Checked, setting
 
 _LEAST_SCALE = 1e-30  # only excludes zero and negative factors
 _AMPLITUDE = {"peak": 1.0, "rms": sqrt(2.0), "power": sqrt(2.0 / 3.0)}

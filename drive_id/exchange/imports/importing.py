@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import asdict, replace
 from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import IMPORTED
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.methods.parameters import FitReport
@@ -21,9 +22,8 @@ from drive_id.exchange.imports.plausibility import check_plausible, large_flux, 
 from drive_id.exchange.imports.points import MapPoints
 from drive_id.exchange.imports.source import Source
 from drive_id.files.results.identification import Provenance
+from drive_id.files.storage.bag import file_digest
 from drive_id.fitting.result import Identification
-from drive_id.messages import Message
-from drive_id.origins import IMPORTED
 
 _COVERAGE_POINTS = 101  # along an axis, by which the covered share of the disc is counted
 
@@ -109,7 +109,7 @@ def _result(source: Source, points: MapPoints, statements: list[Message]) -> Ide
     )
     files = [source.path] if source.psi_q_file is None else [source.path, source.psi_q_file]
     provenance = Provenance(
-        inputs={str(path): hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
+        inputs={str(path): file_digest(path) for path in files},
         settings=FitSettings(),
         machine=source.machine or points.machine or source.path.stem,
         pole_pairs=None if pairs is None else round(pairs),

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.origins import ORIGINS
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.points import SCALARS, MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
 from drive_id.files.inputs.archive import load_npz
-from drive_id.origins import ORIGINS
 from drive_id.types import FloatArray
 
 _SCALARS = {

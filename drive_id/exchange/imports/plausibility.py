@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import cKDTree
 
+from drive_id.common.messages import Message
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.conventions import Conventions, converted
 from drive_id.exchange.imports.points import MapPoints
-from drive_id.messages import Message
 from drive_id.types import FloatArray, IntArray
 
 _MOST_POINTS = 1500  # at which slopes are estimated

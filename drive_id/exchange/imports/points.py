@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from drive_id.common.quantity import counted
 from drive_id.errors import ConfigurationError
-from drive_id.quantity import counted
 from drive_id.types import FloatArray
 
 SCALARS = ("resistance", "pole_pairs", "i_max", "u_dc")

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.quantity import counted
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.imports.npz import known_scalars, ordered, turning_points
 from drive_id.exchange.imports.points import MapPoints, of_grid
 from drive_id.exchange.imports.source import Source
 from drive_id.files.inputs.input_file import read_input, reason
-from drive_id.quantity import counted
 from drive_id.types import FloatArray
 
 COLUMNS = ("i_d", "i_q", "psi_d", "psi_q", "torque", "theta", "sigma_d", "sigma_q", "inside")

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.quantity import counted
 from drive_id.errors import NotABagError, TruncatedBagError
 from drive_id.files.inputs.archive import read_arrays
 from drive_id.files.inputs.input_file import open_input
 from drive_id.files.inputs.matlab import read_matlab
 from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, SlicedLog
 from drive_id.files.storage.container import UnpackBudget
-from drive_id.quantity import counted
 
 _MOST_COLUMNS = 64  # of one array that are offered as signals
 _DECODED = "MATLAB_object_decode"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.files.inputs.input_file import open_input
 from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, SlicedLog
 
 
@@ -19,7 +20,7 @@ class _StreamLog(SlicedLog):
 
     def _open(self, path: Path, library: Callable[[Any], Any]) -> None:
         self.path = path
-        self._stream = path.open("rb")
+        self._stream = open_input(path)
         try:
             self._file = library(self._stream)
         except BaseException:

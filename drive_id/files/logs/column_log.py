@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
+from drive_id.common.messages import Message
 from drive_id.errors import DriveIdError, MissingTopicError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import reason
 from drive_id.files.storage.container import UnpackBudget
-from drive_id.messages import Message
 
 ROWS = 1 << 16
 """Rows of a part."""

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from drive_id.common.quantity import counted
 from drive_id.errors import MessageTypeError
 from drive_id.files.logs.log_kind import UTF_16, text_stream
-from drive_id.quantity import counted
 
 WHITE = r"\s+"
 INFINITE = ("∞", "-∞", "+∞")

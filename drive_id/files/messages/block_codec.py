@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drive_id.quantity import counted
+from drive_id.common.quantity import counted
 from drive_id.types import NANOSECONDS
 
 LONGEST_PERIOD = 1e4

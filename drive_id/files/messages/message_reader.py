@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.quantity import counted
 from drive_id.errors import MessageTypeError
 from drive_id.files.messages.block_codec import decode_block
 from drive_id.files.messages.field_path import FieldPath, FieldPathError, parse_field_path
 from drive_id.files.messages.messages import BLOCK_FIELDS, message_typestore, schema_text
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.storage.container import RawMessage, TopicInfo
-from drive_id.quantity import counted
 from drive_id.types import IntArray
 
 DECODE_ERRORS = (

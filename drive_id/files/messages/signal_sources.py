@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.quantity import counted
+from drive_id.common.settings import Checked, setting
 from drive_id.core import frames
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.block_codec import LONGEST_PERIOD
 from drive_id.files.messages.field_path import parse_field_path
-from drive_id.quantity import counted
-from drive_id.settings import Checked, setting
 from drive_id.types import SCALARS, FloatArray
 
 STAMP_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}

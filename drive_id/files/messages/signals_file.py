@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 
 import yaml
 
+from drive_id.common.settings import from_mapping
 from drive_id.errors import ConfigurationError
 from drive_id.files.inputs.input_file import read_text_input, reason
 from drive_id.files.inputs.yaml_tree import load_yaml
@@ -30,7 +31,6 @@ from drive_id.files.messages.signal_sources import (
     TimeSource,
     our_scalar,
 )
-from drive_id.settings import from_mapping
 from drive_id.types import SCALARS
 
 __all__ = ["SignalMap", "our_scalar", "parse_signals", "read_signals"]

@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.messages import Message
+from drive_id.common.quantity import counted
 from drive_id.core.signals.restarts import Restarts
 from drive_id.errors import ConfigurationError, MessageTypeError, MissingTopicError
 from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, ColumnLog, Rows, find_column
@@ -21,8 +23,6 @@ from drive_id.files.messages.message_reader import MessageSamples, ticks_to_ns
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
 from drive_id.files.read.extraction import LogSignals
 from drive_id.files.storage.container import TopicInfo
-from drive_id.messages import Message
-from drive_id.quantity import counted
 
 NO_TIME = np.iinfo(np.int64).min
 """Stamp of a row whose time is blank."""

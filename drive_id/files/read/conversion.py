@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.signals.decimated import mean_voltages
 from drive_id.core.signals.join import ToPhases
@@ -14,7 +15,6 @@ from drive_id.core.signals.rotor_interpolation import interpolated_rotor
 from drive_id.core.signals.rotor_smoothing import smoothed_rotor
 from drive_id.core.signals.signal import Signal
 from drive_id.files.messages.signal_sources import ROTOR_SPEED, SignalMap
-from drive_id.messages import Message
 from drive_id.types import FloatArray, Samples
 
 

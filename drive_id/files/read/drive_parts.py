@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from drive_id.common.messages import Message
 from drive_id.core.signals.drive_watch import LEAST_OF_ONE_DRIVE, DriveWatch
 from drive_id.core.signals.join import SECTIONS
 from drive_id.errors import DriveChangedError
@@ -13,7 +14,6 @@ from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.reader import find_topics
 from drive_id.files.storage.bag import open_bag
-from drive_id.messages import Message
 from drive_id.types import NANOSECONDS
 
 _FEW = 3

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from drive_id.common.messages import Message
+from drive_id.common.quantity import counted
 from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
 from drive_id.core.signals.join import SECTIONS
 from drive_id.core.signals.signal import SampleCount, Signal
@@ -20,8 +22,6 @@ from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, Tim
 from drive_id.files.read.memory import MemoryGuard
 from drive_id.files.storage.bag import Bag
 from drive_id.files.storage.container import RawMessage, TopicInfo
-from drive_id.messages import Message
-from drive_id.quantity import counted
 from drive_id.types import SCALARS, FloatArray, IntArray
 
 PART_SAMPLES = 1 << 15

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from drive_id.common.quantity import counted
 from drive_id.errors import BagError, DriveIdError
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.storage.bag import open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo, file_size
-from drive_id.quantity import counted
 
 if TYPE_CHECKING:
     from drive_id.files.logs.column_log import ColumnLog

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core.signals.signal import Signal
 from drive_id.core.steady.averaging import averaged
 from drive_id.core.steady.operating_data import OperatingData
@@ -17,7 +18,6 @@ from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap
 from drive_id.files.read.reader import read_signals_only
 from drive_id.files.read.several import read_recording
-from drive_id.messages import Message
 from drive_id.types import BoolArray, FloatArray, GroundTruth, IntArray
 
 _TEMPERATURE = "winding_temperature"

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
+from drive_id.common.messages import Message
 from drive_id.core.signals.held_references import HeldReferences
 from drive_id.core.signals.join import SECTIONS, Piece, StreamJoin, join
 from drive_id.core.signals.signal import Signal
@@ -32,7 +33,6 @@ from drive_id.files.read.extraction import (
 from drive_id.files.read.info import printable_errors
 from drive_id.files.storage.bag import Bag, file_digest, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
-from drive_id.messages import Message
 from drive_id.types import SCALARS, FloatArray, GroundTruth, IntArray
 
 CAPACITY = 1 << 20

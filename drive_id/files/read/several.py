@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from drive_id.common.messages import Message
 from drive_id.core.signals.join import Piece
 from drive_id.core.signals.pieces import SeveralRecordings, common_truth
 from drive_id.errors import ConfigurationError, DriveIdError
@@ -16,7 +17,6 @@ from drive_id.files.read.drive_parts import DrivePart, drive_parts
 from drive_id.files.read.extraction import DividedError
 from drive_id.files.read.reader import BagFacts, bag_pieces
 from drive_id.files.storage.bag import file_digest, storage_files
-from drive_id.messages import Message
 from drive_id.types import GroundTruth, Progress, Samples, silent
 
 _LONG = 1 << 18

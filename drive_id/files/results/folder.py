@@ -10,11 +10,11 @@ import tempfile
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
+from drive_id.common.interrupts import held, note_complete
+from drive_id.common.quantity import counted
 from drive_id.errors import OutputError
 from drive_id.files.inputs.input_file import open_input, read_text_input
 from drive_id.files.storage.durable import exchanged, make_folder, sync_folder, write_synced
-from drive_id.interrupts import held, note_complete
-from drive_id.quantity import counted
 
 FORMAT = "drive_id/identification"
 MARKER = "identification.json"

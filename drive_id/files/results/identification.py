@@ -18,6 +18,11 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import ORIGINS
+from drive_id.common.quantity import plain
+from drive_id.common.settings import from_mapping
+from drive_id.common.version import VERSION
 from drive_id.core.fit_settings import MOST_POLE_PAIRS, FitSettings
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
@@ -29,12 +34,7 @@ from drive_id.files.inputs.archive import DAMAGED, damage, npz_bytes, read_array
 from drive_id.files.inputs.input_file import read_input, read_text_input
 from drive_id.files.results.diagnostics import DIAGNOSTICS, diagnostics_bytes, read_diagnostics
 from drive_id.files.results.folder import FORMAT, LARGEST_MARKER, MARKER, check_recordings, is_ours, replace_folder
-from drive_id.messages import Message
-from drive_id.origins import ORIGINS
-from drive_id.quantity import plain
-from drive_id.settings import from_mapping
 from drive_id.types import FloatArray
-from drive_id.version import VERSION
 
 if TYPE_CHECKING:
     from drive_id.core.full.effects.effect import Calibration

@@ -18,6 +18,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.settings import from_mapping
+from drive_id.common.version import VERSION
 from drive_id.core.accumulation.accumulated import VALIDATION_PIECES, Accumulated, bounded
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
@@ -28,10 +31,7 @@ from drive_id.files.inputs.archive import DAMAGED, LARGEST, npz_bytes, read_arra
 from drive_id.files.inputs.input_file import open_input, reason
 from drive_id.files.machines.ground_truth import decode_truth, encode_truth
 from drive_id.files.results.folder import check_absent, replace_file
-from drive_id.messages import Message
-from drive_id.settings import from_mapping
 from drive_id.types import SCALARS, Samples
-from drive_id.version import VERSION
 
 FORMAT = "drive_id/information"
 FORMAT_VERSION = 11

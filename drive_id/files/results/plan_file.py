@@ -9,11 +9,11 @@ from typing import Any
 
 import yaml
 
+from drive_id.common.quantity import plain
 from drive_id.core.planning.free_shaft import AMPLITUDE, FreeShaftPlan
 from drive_id.core.planning.planner import Plan, PlannedExperiment
 from drive_id.files.inputs.input_file import open_input
 from drive_id.files.results.folder import check_absent, replace_file
-from drive_id.quantity import plain
 
 _HEADER = "# Planned by drive-id plan"
 _SLEW_RESERVE = 1.05

@@ -12,6 +12,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from drive_id.common.messages import Message
+from drive_id.common.quantity import counted
 from drive_id.errors import BagError, MessageCountError, MessageTypeError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import open_input, reason
 from drive_id.files.storage.container import (
@@ -33,8 +35,6 @@ from drive_id.files.storage.container import (
 from drive_id.files.storage.mcap import McapStorage
 from drive_id.files.storage.metadata import BagMetadata, read_metadata
 from drive_id.files.storage.sqlite import SqliteStorage
-from drive_id.messages import Message
-from drive_id.quantity import counted
 
 _ENDINGS = tuple(kind + packed for kind in (".mcap", ".db3") for packed in ("", ".zstd", ".lz4", ".zst"))
 

@@ -11,9 +11,9 @@ from typing import BinaryIO, NamedTuple
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
+from drive_id.common.messages import Message
 from drive_id.errors import BagError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import NotAFileError, check_input, open_input, reason, shown_size
-from drive_id.messages import Message
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\0"

@@ -22,6 +22,8 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.stream_reader import CRCValidationError, StreamReader
 
+from drive_id.common.messages import Message
+from drive_id.common.quantity import counted
 from drive_id.errors import BagError, MessageCountError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import open_input, reason, shown_size
 from drive_id.files.storage.container import (
@@ -37,8 +39,6 @@ from drive_id.files.storage.container import (
     has_checksum,
     merged_topics,
 )
-from drive_id.messages import Message
-from drive_id.quantity import counted
 
 RECORD = struct.Struct("<BQ")
 """Opcode and length, before the content of each record."""

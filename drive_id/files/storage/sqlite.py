@@ -10,6 +10,7 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from urllib.parse import quote
 
+from drive_id.common.quantity import counted
 from drive_id.errors import MessageCountError, NotABagError, TruncatedBagError
 from drive_id.files.inputs.input_file import open_input, shown_size
 from drive_id.files.storage.container import (
@@ -21,7 +22,6 @@ from drive_id.files.storage.container import (
     full_type,
     merged_topics,
 )
-from drive_id.quantity import counted
 
 _SQL_ERRORS = (sqlite3.Error, OSError, UnicodeDecodeError, OverflowError, MemoryError)
 _MOST_TOPICS = 1 << 16  # more are damage

@@ -13,6 +13,7 @@ import yaml
 from mcap import records
 from mcap.writer import CompressionType, Writer
 
+from drive_id.common.quantity import counted
 from drive_id.errors import EmptyTopicError, NotABagError
 from drive_id.files.inputs.yaml_tree import load_yaml
 from drive_id.files.storage.bag import present_files
@@ -20,7 +21,6 @@ from drive_id.files.storage.container import MCAP_MAGIC, SQLITE_MAGIC, read_magi
 from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records
 from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, read_metadata, write_metadata
 from drive_id.files.write.rosbag2_writer import McapStream, whole_or_nothing
-from drive_id.quantity import counted
 
 _LIBRARY = "drive_id recover"
 _NUMBER = re.compile(r"_(\d+)\.mcap")

@@ -22,6 +22,7 @@ import yaml
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType, Writer
 
+from drive_id.common.interrupts import held, note_complete
 from drive_id.errors import OutputError
 from drive_id.files.inputs.input_file import reason
 from drive_id.files.messages.messages import DEFINITIONS, schema_text, type_hash
@@ -29,7 +30,6 @@ from drive_id.files.storage.container import MCAP_MAGIC
 from drive_id.files.storage.durable import make_folder, sync_folder
 from drive_id.files.storage.mcap import RECORDER_LIBRARY, McapStorage
 from drive_id.files.storage.metadata import FileEntry, Qos, TopicEntry, bag_information, write_metadata
-from drive_id.interrupts import held, note_complete
 
 if TYPE_CHECKING:
     from typing_extensions import Self

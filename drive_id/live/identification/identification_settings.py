@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from drive_id.settings import Checked, setting
+from drive_id.common.settings import Checked, setting
 
 
 @dataclass(frozen=True)

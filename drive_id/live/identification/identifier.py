@@ -11,6 +11,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from drive_id.common.health import Health, Level, Observation
+from drive_id.common.messages import Message
+from drive_id.common.quantity import counted, measured
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import Conclusion
 from drive_id.core.result.identification import IdentifiedDrive
@@ -26,7 +29,6 @@ from drive_id.fitting.completion import completed
 from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.result import Identification
 from drive_id.fitting.sources import Sources
-from drive_id.health import Health, Level, Observation
 from drive_id.live.data_directory import existing_recording
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.live_evidence import LiveEvidence, Snapshot
@@ -37,8 +39,6 @@ from drive_id.live.identification.result_folders import LastMap, ResultFolders, 
 from drive_id.live.publishers import Publisher, of_type, publisher_findings, uncounted
 from drive_id.live.translator import SignalBlock
 from drive_id.live.worker import Cancelled
-from drive_id.messages import Message
-from drive_id.quantity import counted, measured
 from drive_id.types import SCALARS, Progress
 
 TYPES = (PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER)

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-from drive_id.messages import Message
+from drive_id.common.messages import Message
 
 MOST_MESSAGES = 5000
 """Messages that may wait."""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from drive_id.common.health import Level, Observation
+from drive_id.common.messages import Message
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.signals.drive_watch import LEAST_OF_ONE_DRIVE, DriveWatch
 from drive_id.errors import ConfigurationError, DriveChangedError
 from drive_id.files.messages.block_codec import read_head
-from drive_id.health import Level, Observation
 from drive_id.live.identification.live_evidence import LiveEvidence
 from drive_id.live.publishers import Publisher
-from drive_id.messages import Message
 
 BEFORE, AFTER = "before", "after"
 """Parts that may be asked for."""

@@ -10,6 +10,8 @@ from functools import partial
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import ORIGINS
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.threads import interruptible
@@ -19,8 +21,6 @@ from drive_id.core.result.resistance_error import growth
 from drive_id.errors import DriveIdError
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.live_evidence import LiveEvidence, Snapshot
-from drive_id.messages import Message
-from drive_id.origins import ORIGINS
 from drive_id.types import Progress
 
 MOST_GROWTH = 1.25

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from drive_id.common.health import Level, Observation
+from drive_id.common.quantity import counted
 from drive_id.errors import DriveIdError
-from drive_id.health import Level, Observation
 from drive_id.live.identification.identifier import BUSY, Job, Reply, failed
 from drive_id.live.worker import Worker, step_of
-from drive_id.quantity import counted
 
 PATIENCE = 1.0
 """s that a cancelled fit has for ending by itself; then the node is free, whatever the fit is waiting for."""

@@ -11,11 +11,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from drive_id.common.health import Level, Observation
 from drive_id.errors import ConfigurationError, DriveIdError, OutputError, ResultError
+from drive_id.files.inputs.input_file import read_text_input
 from drive_id.files.results.folder import is_result, replace_file
 from drive_id.files.results.identification import Provenance, read_outline
 from drive_id.fitting.result import Identification, load
-from drive_id.health import Level, Observation
 from drive_id.live.data_directory import free_path
 from drive_id.live.identification.identification_settings import IdentificationSettings
 
@@ -187,8 +188,7 @@ class _Note(NamedTuple):
 
 def _read_note(path: Path) -> _Note | None:
     try:
-        with path.open("rb") as file:
-            tree = json.loads(file.read(_LONGEST_NOTE))
+        tree = json.loads(read_text_input(path, _LONGEST_NOTE))
     except (OSError, ValueError, RecursionError):
         return None
     if not isinstance(tree, dict) or tree.get("format") != _FORMAT:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drive_id.health import Level, Observation
+from drive_id.common.health import Level, Observation
 from drive_id.types import NANOSECONDS
 
 _STANDSTILL = 2.0

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from drive_id.health import Health, Level, Observation
+from drive_id.common.health import Health, Level, Observation
+from drive_id.common.quantity import counted
 from drive_id.live.publishers import Publisher, of_type, publisher_findings, uncounted
 from drive_id.live.recording.recording_report import RecordingReport, TopicReport
 from drive_id.live.recording.recording_settings import RecordingSettings
-from drive_id.quantity import counted
 
 _SCARCE = 10.0
 """Multiple of least_free_space below which to warn of the disk."""

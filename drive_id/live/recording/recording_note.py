@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from drive_id.errors import OutputError
+from drive_id.files.inputs.input_file import read_text_input
 from drive_id.files.results.folder import replace_file
 
 _LONGEST = 10_000  # bytes
@@ -33,8 +34,7 @@ class RecordingNote:
 
     def _read(self) -> str:
         try:
-            with self._file.open("rb") as file:
-                tree = json.loads(file.read(_LONGEST))
+            tree = json.loads(read_text_input(self._file, _LONGEST))
         except (OSError, ValueError, RecursionError):
             return ""
         path = tree.get("recording") if isinstance(tree, dict) else None

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from drive_id.common.messages import Message
+from drive_id.common.quantity import counted
 from drive_id.files.storage.metadata import WRITTEN
-from drive_id.messages import Message
-from drive_id.quantity import counted
 from drive_id.types import NANOSECONDS
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 
+from drive_id.common.messages import Message
 from drive_id.core.signals.drive_watch import DriveWatch
 from drive_id.core.signals.signal import SampleCount
 from drive_id.errors import DriveIdError
@@ -24,7 +25,6 @@ from drive_id.files.write.rosbag2_writer import FileOpener, Rosbag2McapWriter, o
 from drive_id.live.publishers import Publisher
 from drive_id.live.recording.recording_report import DriveChange, RecordingReport, TopicReport
 from drive_id.live.recording.recording_settings import RecordingSettings
-from drive_id.messages import Message
 from drive_id.types import NANOSECONDS
 
 _HELD_UP = 1.0

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
-from drive_id.health import Health
+from drive_id.common.health import Health
 from drive_id.nodes.support.clocks import STEADY
 
 _PERIOD = 1.0  # s

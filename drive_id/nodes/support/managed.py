@@ -8,10 +8,10 @@ from typing import Any
 from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from drive_id.health import Health, Level
+from drive_id.common.health import Health, Level
+from drive_id.common.settings import Checked, setting
 from drive_id.nodes.support.deferred_service import PacedServices
 from drive_id.nodes.support.parameters import declare_settings
-from drive_id.settings import Checked, setting
 
 
 @dataclass(frozen=True)

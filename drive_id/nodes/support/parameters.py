@@ -13,8 +13,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from drive_id.common.settings import from_mapping
 from drive_id.errors import ConfigurationError
-from drive_id.settings import from_mapping
 
 Settings = TypeVar("Settings")
 

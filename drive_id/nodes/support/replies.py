@@ -14,12 +14,12 @@ from drive_id_msgs.msg import FitReport, FluxMap, OperatingPoint, ResultInfo
 from numpy.typing import ArrayLike
 from sensor_msgs.msg import PointCloud2, PointField
 
+from drive_id.common.messages import Message
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.files.results.identification import Provenance
 from drive_id.live.identification.identifier import Reply
 from drive_id.live.identification.operating_points import Point
 from drive_id.live.identification.result_folders import FoundResult
-from drive_id.messages import Message
 from drive_id.nodes.support.signal_messages import headed, time_of
 
 _OF_MECHANICS = {

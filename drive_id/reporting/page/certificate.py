@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
 from drive_id.analysis.verification import Judgement, Verification
-from drive_id.pictures.panels import PSI, add_colour_bar, levels, name_currents, place
-from drive_id.pictures.picture import rendered
-from drive_id.quantity import counted, measured
+from drive_id.common.quantity import counted, measured
 from drive_id.reporting.page.html import filled
+from drive_id.result.pictures.panels import PSI, add_colour_bar, levels, name_currents, place
+from drive_id.result.pictures.picture import rendered
 from drive_id.result.result import Result
 
 _WIDEST = 1.0

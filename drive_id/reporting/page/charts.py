@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from matplotlib.colors import to_hex
 
+from drive_id.common.quantity import plain, scaled_unit
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.headline import slopes
-from drive_id.pictures.panels import COLOURS
-from drive_id.quantity import plain, scaled_unit
 from drive_id.reporting.page.content import map_difference
 from drive_id.reporting.page.operation import LossMap, TorqueMap
+from drive_id.result.pictures.panels import COLOURS
 from drive_id.result.result import Result
 from drive_id.types import BoolArray, FloatArray
 

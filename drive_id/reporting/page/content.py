@@ -10,18 +10,18 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.messages import Message
+from drive_id.common.origins import JOINT, ORIGINS, PSM, origin_named
+from drive_id.common.quantity import Quantity, measured, rounded
+from drive_id.common.version import VERSION
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.diagnostics import ComparedMethod
 from drive_id.files.results.identification import Provenance, results_tree
-from drive_id.messages import Message
-from drive_id.origins import JOINT, ORIGINS, PSM, origin_named
-from drive_id.quantity import Quantity, measured, rounded
 from drive_id.reporting.page.operation import TorqueMap
 from drive_id.reporting.tables import shaft_rows
 from drive_id.result.advice import single_speed, sorted_statements
 from drive_id.result.result import Result
 from drive_id.types import FloatArray
-from drive_id.version import VERSION
 
 _NOT_STORED = (
     "This result folder holds no diagnostics.npz, because an earlier version wrote it: fit the recording again to see "

@@ -12,8 +12,8 @@ from typing import Any
 
 import jinja2
 
+from drive_id.common.version import VERSION
 from drive_id.reporting.page.content import SECTIONS, Content
-from drive_id.version import VERSION
 
 _SYMBOL = re.compile(r"\b(ψ|i|u|L|T|sigma|σ)_(PM|max|dc|[dq]{1,2})\b")
 _NUMBER = re.compile(r"[\d\N{MINUS SIGN}][\S ]{0,23}$")

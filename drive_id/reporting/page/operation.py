@@ -39,18 +39,11 @@ class SpeedMap:
 
 @dataclass(frozen=True, eq=False)
 class LossMap:
-    """Losses over the current plane, on the grid of the flux map; NaN where there are no data.
+    """Losses over the current plane, on the grid of the flux map; NaN where there are no data."""
 
-    Parameters
-    ----------
-    speed : float
-        To which the iron loss belongs, mechanical, rad/s; NaN where no iron loss was identified.
-    losses : dict of str to ((D, Q), (D, Q)) of float
-        By name, ``copper``, ``inverter`` and ``iron``: W, and the standard error, W; without those that are zero.
-    """
-
-    speed: float
+    speed: float  # to which the iron loss belongs, mechanical, rad/s; NaN where no iron loss was identified
     losses: dict[str, tuple[FloatArray, FloatArray]]
+    """By name, ``copper``, ``inverter`` and ``iron``: W, and the standard error, W; without those that are zero."""
 
     @classmethod
     def of(cls, result: Result, model: MachineModel, corner: float) -> LossMap | None:

@@ -12,9 +12,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
+from drive_id.common.version import VERSION
 from drive_id.reporting.page.content import SECTIONS, Content, TextTable
 from drive_id.reporting.page.html import GENERATOR
-from drive_id.version import VERSION
 
 _WIDTH = 8.27  # of a page (A4), inches
 _HEIGHT = 11.69  # likewise

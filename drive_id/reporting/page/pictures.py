@@ -7,10 +7,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from drive_id.common.quantity import scaled_unit
 from drive_id.core.result.diagnostics import ComparedMethod, Diagnostics
 from drive_id.core.validation.simulated_current import SimulatedCurrent
-from drive_id.pictures.diagnostics import COLOUR, LIGHT, draw_inverter, draw_residual
-from drive_id.pictures.panels import (
+from drive_id.reporting.page.content import map_difference
+from drive_id.reporting.page.operation import LossMap, SpeedMap, TorqueMap
+from drive_id.result.pictures.diagnostics import COLOUR, LIGHT, draw_inverter, draw_residual
+from drive_id.result.pictures.panels import (
     COLOURS,
     CURRENT,
     PSI,
@@ -23,10 +26,7 @@ from drive_id.pictures.panels import (
     name_currents,
     place,
 )
-from drive_id.pictures.plots import WIDTH, draw_flux_maps
-from drive_id.quantity import scaled_unit
-from drive_id.reporting.page.content import map_difference
-from drive_id.reporting.page.operation import LossMap, SpeedMap, TorqueMap
+from drive_id.result.pictures.plots import WIDTH, draw_flux_maps
 from drive_id.result.result import Result
 
 

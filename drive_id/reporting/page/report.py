@@ -7,13 +7,13 @@ from pathlib import Path
 
 from drive_id.errors import ConfigurationError
 from drive_id.files.results.folder import check_absent, replace_file
-from drive_id.pictures.picture import rendered
 from drive_id.reporting.page.charts import charts_of
 from drive_id.reporting.page.content import content_of
 from drive_id.reporting.page.html import GENERATOR, rendered_page
 from drive_id.reporting.page.operation import torque_map
 from drive_id.reporting.page.pdf import rendered_pdf
 from drive_id.reporting.page.pictures import figures_of
+from drive_id.result.pictures.picture import rendered
 from drive_id.result.result import Result
 
 _DPI = 110

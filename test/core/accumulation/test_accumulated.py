@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from synthetic import record
 
+from drive_id.common.messages import Message
 from drive_id.core.accumulation.accumulated import VALIDATION_PIECES, Accumulated, beginning, bounded
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.messages import Message
 from drive_id.types import GroundTruth
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from drive_id.common.messages import _percent
 from drive_id.core import frames
 from drive_id.core.checks.balance import Reading
-from drive_id.messages import _percent
 
 
 @pytest.mark.parametrize("turned", range(6))

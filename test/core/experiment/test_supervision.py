@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from drive_id.bench.reference_buffer import ReferenceBuffer
+from drive_id.common.health import Health, Level
 from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.experiment.supervision import SupervisedExperiment
 from drive_id.errors import ConfigurationError
-from drive_id.health import Health, Level
 
 SERVICES = Path(__file__).parents[3] / "msg_defs" / "srv"
 MS = 1_000_000

@@ -9,6 +9,7 @@ import pytest
 from synthetic import reciprocal_flux, saturating_flux
 from synthetic import record as record_of
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import effect_search, window_sums
@@ -24,7 +25,6 @@ from drive_id.core.full.standard_errors import changes_by_batch, residual_statis
 from drive_id.core.full.windows import SHIFTS, kept_of
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.messages import Message
 from drive_id.types import Samples
 
 FULL = FitSettings("full", i_max=300.0, harmonic_orders=())

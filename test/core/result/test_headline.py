@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from exact_results import exact_result
 
+from drive_id.common.quantity import measured
 from drive_id.core.maps.error_modes import ErrorModes
 from drive_id.core.result.headline import headline, slopes
-from drive_id.quantity import measured
 from drive_id.types import MachineMap
 
 PSI_PM, L_D, L_Q, I_MAX, PAIRS = 0.066, 1.5e-4, 3.6e-4, 100.0, 4

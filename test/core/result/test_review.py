@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from synthetic import reciprocal_flux, record, saturating_flux
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.prescan import Prescan
@@ -18,7 +19,6 @@ from drive_id.core.result import conclusion, warnings
 from drive_id.core.result.identify import identify, score
 from drive_id.core.result.warnings import condemned
 from drive_id.errors import ConfigurationError, DataError, UnexplainedError
-from drive_id.messages import Message
 from drive_id.types import GroundTruth
 
 

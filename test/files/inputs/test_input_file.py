@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import socket
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+import drive_id
 from drive_id.files.inputs.input_file import check_input, open_input, read_input, read_text_input, shown_size
 
 
@@ -113,3 +115,30 @@ def test_a_bag_of_fifos_ends_at_once(tmp_path, name):
     command = [sys.executable, "-c", script]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=30, check=False)
     assert "NotABagError" in ran.stderr.splitlines()[-1]
+
+
+PACKAGE = Path(drive_id.__file__).parent
+ROOMS = ("files", "exchange/imports", "inspection", "fitting", "analysis", "live", "cli")
+OF_THE_SYSTEM = {"files/inputs/input_file.py", "files/read/memory.py"}  # the gate itself, and /proc
+
+
+def opened_by_themselves(source: str) -> list[int]:
+    """Return the lines at which a file is opened for reading without the gate."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.Call):
+            continue
+        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+        modes = [mode.value for mode in node.args if isinstance(mode, ast.Constant) and isinstance(mode.value, str)]
+        reads = name in ("read_bytes", "read_text") or (name == "open" and any("r" in mode for mode in modes))
+        if reads:
+            found.append(node.lineno)
+    return found
+
+
+def test_only_the_gate_opens_what_users_give():
+    files = [file for room in ROOMS for file in (PACKAGE / room).rglob("*.py")]
+    assert len(files) > 100
+    found = {str(file.relative_to(PACKAGE)): opened_by_themselves(file.read_text("utf-8")) for file in files}
+    assert {name: lines for name, lines in found.items() if lines and name not in OF_THE_SYSTEM} == {}
+    assert opened_by_themselves("path.open('rb')\nPath(name).read_text()\nopen(name, 'r')") == [1, 2, 3]

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import drive_id
+from drive_id.common.messages import Message
 from drive_id.core.accumulation.accumulated import Accumulated
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
@@ -28,7 +29,6 @@ from drive_id.files.results.information import (
     read_information,
     write_information,
 )
-from drive_id.messages import Message
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ import pytest
 import yaml
 
 from drive_id.bench.settings import BenchSettings, SimulationSettings
+from drive_id.common.settings import from_mapping
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.planning.free_shaft import plan_free_shaft
@@ -24,7 +25,6 @@ from drive_id.files.results.plan_file import (
     plan_yaml,
     write_plan,
 )
-from drive_id.settings import from_mapping
 
 MACHINE = RoughMachine(300.0, 4, 0.01, 1.4e-4, 2.9e-4, 0.06, 400.0)
 PREDICTION = Prediction(1e-4, 2e-4, 1e-3, 1e-3, 2e-3)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from recorder_blocks import PERIOD, START, TOPICS, block
 
+from drive_id.common.health import Level
 from drive_id.core.fit_settings import FitSettings
 from drive_id.files.messages.block_codec import decode_block, encode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS
-from drive_id.health import Level
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.identifier import Identifier
 from drive_id.live.publishers import Publisher

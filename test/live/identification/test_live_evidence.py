@@ -28,7 +28,7 @@ from drive_id.live.identification.identification_settings import IdentificationS
 from drive_id.live.identification.identifier import Identifier
 from drive_id.live.identification.live_evidence import LiveEvidence
 from drive_id.live.identification.warm_up import warm_up
-from drive_id.pictures import plots
+from drive_id.result.pictures import plots
 from drive_id.types import silent
 
 SETTINGS = FitSettings("joint", i_max=300.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drive_id.health import Level
+from drive_id.common.health import Level
 from drive_id.live.recording.clock_watch import ClockWatch
 
 SECOND = 10**9

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from drive_id.health import Level
+from drive_id.common.health import Level
 from drive_id.live.publishers import Publisher, reliable_wanted
 from drive_id.live.recording.recorder_health import TopicState, recorder_health
 from drive_id.live.recording.recording_report import RecordingReport, TopicReport

@@ -7,11 +7,11 @@ import pytest
 import yaml
 from recorder_blocks import PERIOD, START, TOPICS, block, feed
 
+from drive_id.common.health import Level
 from drive_id.files.messages.block_codec import decode_block, encode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS, CURRENT_REFERENCE
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.drive_parts import drive_parts
-from drive_id.health import Level
 from drive_id.live.publishers import Publisher
 from drive_id.live.recording.recorder_health import recorder_health
 from drive_id.live.recording.recording_session import RecordingSession

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.windows import Windows
-from drive_id.messages import Message
 from drive_id.types import FloatArray, IntArray
 
 MOST_RUNS, MOST_PARTS = 4, 8

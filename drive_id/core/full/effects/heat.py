@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.common.temperature import COPPER
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import (
     CERTAIN,
@@ -18,7 +19,6 @@ from drive_id.core.full.effects.effect import (
     Reported,
     between,
 )
-from drive_id.temperature import COPPER
 from drive_id.types import FloatArray
 
 _MOST_COOLED, _MOST_WARMED = -50.0, 130.0

@@ -9,12 +9,12 @@ from string import Template
 
 import numpy as np
 
+from drive_id.common.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.errors import ConfigurationError
 from drive_id.exchange.exports.current_control import CurrentControl, designed
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
-from drive_id.temperature import COPPER, REFERENCE_TEMPERATURE
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 _TEMPLATE = Path(__file__).with_name("flux_map.h")

@@ -9,8 +9,8 @@ from functools import partial
 from rclpy.node import Node
 from rclpy.validate_topic_name import validate_topic_name
 
+from drive_id.common.health import Level, Observation
 from drive_id.errors import ConfigurationError
-from drive_id.health import Level, Observation
 from drive_id.live.recording.recording_session import RecordedTopic
 from drive_id.nodes.support.topics.matched import MatchedSubscription
 from drive_id.nodes.support.topics.types import definition, message_class

@@ -6,9 +6,9 @@ from functools import partial
 
 from rclpy.node import Node
 
+from drive_id.common.health import Level, Observation
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.storage.container import TopicInfo
-from drive_id.health import Level, Observation
 from drive_id.live.translator import Translator
 from drive_id.nodes.support.topics.matched import MatchedSubscription
 from drive_id.nodes.support.topics.types import definition, message_class

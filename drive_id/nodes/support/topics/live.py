@@ -8,8 +8,8 @@ from pathlib import Path
 
 from drive_id_msgs.msg import ScalarSamples
 
+from drive_id.common.health import Observation
 from drive_id.files.messages.signals_file import read_signals
-from drive_id.health import Observation
 from drive_id.live.identification.identifier import Identifier
 from drive_id.live.identification.inbox import Inbox
 from drive_id.live.publishers import Publisher

@@ -8,9 +8,9 @@ from typing import Any
 
 import jinja2
 
+from drive_id.common.version import VERSION
 from drive_id.files.results.folder import check_absent, replace_file
-from drive_id.version import VERSION
-from drive_id.web.archive import Entry, rows
+from drive_id.reporting.web.archive import Entry, rows
 
 GENERATOR = "drive_id archive"
 """By which an earlier page is known."""
@@ -23,7 +23,7 @@ def archive_page(entries: Sequence[Entry], title: str, *, ticked: int = 0, live:
 
 def rendered(template: str, **values: Any) -> str:
     """Render a template of this package, which may use the report's style."""
-    places = [jinja2.PackageLoader("drive_id.web"), jinja2.PackageLoader("drive_id.reporting.page")]
+    places = [jinja2.PackageLoader("drive_id.reporting.web"), jinja2.PackageLoader("drive_id.reporting.page")]
     environment = jinja2.Environment(
         loader=jinja2.ChoiceLoader(places), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,

@@ -14,61 +14,31 @@ from drive_id.errors import ConfigurationError
 
 @dataclass(frozen=True)
 class Origin:
-    """A method, or another source of results.
+    """A method, or another source of results."""
 
-    Parameters
-    ----------
-    name : str
-        As in ``identification.json``, in ``FluxMap`` and in the settings of a fit.
-    title : str
-        For the rows of a table of several.
-    heading : str
-        Of the tables and pages of a result.
-    summary : str
-        What was done, a sentence for the paragraph to paste.
-    fitted : bool
-        Whether R and standard errors were estimated; else they are what a file says.
-    inverter, harmonics : bool
-        Whether results have the inverter's curve, and rotor-position harmonics.
-    slopes : bool
-        Whether the standard errors hold for inductances away from zero current, too: others miss the bias there.
-    diagnostics : bool
-        Whether results have residuals over time and angle, a simulated current, and other methods beside them.
-    live, windows : bool
-        Whether it sums over samples, so that it serves live samples and information files, and over windows as well.
-    no_inverter, no_diagnostics, no_torque : str
-        Why these are missing; empty where they are not.
-    limits : tuple of str
-        What the data leave open; the last one is what R rests on if all data are of one speed.
-    pole_pairs : str
-        How to give their number, in the imperative.
-    advice : str
-        Code of the message on what another method would add; empty where there is none.
-    reference : str
-        To cite; empty without.
-    ignores : tuple of str
-        Settings of a fit that have no effect.
-    """
-
-    name: str
-    title: str
-    summary: str
-    heading: str = "Identified drive"
-    fitted: bool = True
-    inverter: bool = True
-    harmonics: bool = False
+    name: str  # as in ``identification.json``, in ``FluxMap`` and in the settings of a fit
+    title: str  # for the rows of a table of several
+    summary: str  # what was done, a sentence for the paragraph to paste
+    heading: str = "Identified drive"  # of the tables and pages of a result
+    fitted: bool = True  # whether R and standard errors were estimated; else they are what a file says
+    inverter: bool = True  # whether results have the inverter's curve
+    harmonics: bool = False  # whether they have rotor-position harmonics
     slopes: bool = False
+    """Whether the standard errors hold for inductances away from zero current, too: others miss the bias there."""
     diagnostics: bool = True
+    """Whether results have residuals over time and angle, a simulated current, and other methods beside them."""
     live: bool = True
-    windows: bool = False
-    no_inverter: str = ""
+    """Whether it sums over samples, so that it serves live samples and information files."""
+    windows: bool = False  # whether it sums over windows
+    no_inverter: str = ""  # why it is missing; empty where it is not
     no_diagnostics: str = ""
     no_torque: str = ""
     limits: tuple[str, ...] = ()
-    pole_pairs: str = "set pole_pairs in the fit, or in the signals file"
-    advice: str = ""
-    reference: str = ""
-    ignores: tuple[str, ...] = ()
+    """What the data leave open; the last one is what R rests on if all data are of one speed."""
+    pole_pairs: str = "set pole_pairs in the fit, or in the signals file"  # how to give their number, in the imperative
+    advice: str = ""  # code of the message on what another method would add; empty where there is none
+    reference: str = ""  # to cite; empty without
+    ignores: tuple[str, ...] = ()  # settings of a fit that have no effect
 
     @property
     def turning(self) -> bool:

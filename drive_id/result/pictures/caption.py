@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from drive_id.quantity import measured
+from drive_id.common.quantity import measured
 
 _LONGEST_NAME = 50
 """Characters of a machine's name in a caption."""

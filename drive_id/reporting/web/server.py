@@ -34,8 +34,8 @@ from starlette.responses import (
 from starlette.routing import Route
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from drive_id.web.archive import Archive
-from drive_id.web.page import archive_page, rendered
+from drive_id.reporting.web.archive import Archive
+from drive_id.reporting.web.page import archive_page, rendered
 
 LOOPBACK = ("127.0.0.1", "localhost")
 SHOWN = ("report.html", "report.pdf", "flux_map.png", "diagnostics.png", "identification.json")

@@ -14,11 +14,11 @@ from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.result.diagnostics import thinned_trajectory
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.errors import ConfigurationError
-from drive_id.pictures.caption import NO_CAPTION, Caption
-from drive_id.pictures.diagnostics import draw_diagnostics
-from drive_id.pictures.panels import NORMAL, Disc, add_key, draw_flux, name, place
-from drive_id.pictures.picture import Picture, rendered
-from drive_id.pictures.styles import style_of
+from drive_id.result.pictures.caption import NO_CAPTION, Caption
+from drive_id.result.pictures.diagnostics import draw_diagnostics
+from drive_id.result.pictures.panels import NORMAL, Disc, add_key, draw_flux, name, place
+from drive_id.result.pictures.picture import Picture, rendered
+from drive_id.result.pictures.styles import style_of
 from drive_id.types import FloatArray, Samples
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from matplotlib.path import Path
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
+from drive_id.common.quantity import scaled_unit
 from drive_id.core.maps.flux_map import FluxMap
-from drive_id.quantity import scaled_unit
 from drive_id.types import BoolArray, FloatArray, IntArray
 
 PSI = {"d": r"$\psi_\mathrm{d}$", "q": r"$\psi_\mathrm{q}$"}

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from drive_id.quantity import counted, measured, plain
+from drive_id.common.quantity import counted, measured, plain
 
 Value = float | int | str
 """Of a message: SI units; a text only where it names something."""
@@ -87,7 +87,9 @@ class Message(str):
 @cache
 def _catalogue() -> dict[str, dict[str, str]]:
     loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
-    tree: dict[str, dict[str, str]] = yaml.load(files("drive_id").joinpath("messages.yaml").read_text("utf-8"), loader)
+    tree: dict[str, dict[str, str]] = yaml.load(
+        files("drive_id.common").joinpath("messages.yaml").read_text("utf-8"), loader
+    )
     return tree
 
 
@@ -110,8 +112,8 @@ class _Templates(Formatter):
     - ``{clause}`` is replaced by the template of that name.
     - ``{x:.3g|m}`` is in thousandths; likewise ``k``, ``u``, ``deg`` (of rad), ``%``, and ``phase`` for a, b or c.
     - ``{x:|nouns}`` is a list of effects, by the nouns for them, the first ones if there are many.
-    - ``{x:±{sigma} ohm}`` has a standard error, see :func:`~drive_id.quantity.measured`; shares in ``%``, rad in ``°``.
-      ``{x:±{sigma} ohm of {resistance}}`` is in the unit for that size.
+    - ``{x:±{sigma} ohm}`` has a standard error, see :func:`~drive_id.common.quantity.measured`; shares in ``%``,
+      rad in ``°``. ``{x:±{sigma} ohm of {resistance}}`` is in the unit for that size.
     - ``{x:# gap}`` is a number and what it counts, ``{x:#is//are}`` what agrees with it alone; a format may precede it.
     - ``{x:?yes//no}`` is one of two texts, whether the value is known and not False.
     """

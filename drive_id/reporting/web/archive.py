@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from drive_id.common.quantity import measured, plain, scaled_unit
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.errors import ConfigurationError, DriveIdError
 from drive_id.files.results.folder import MARKER
-from drive_id.quantity import measured, plain, scaled_unit
 from drive_id.result.result import Result
 
 _NODES = 16

@@ -9,10 +9,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from drive_id.common.quantity import scaled_unit
 from drive_id.core.result.diagnostics import drive_residual
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.validation.residuals import AngleBins, over_angle
-from drive_id.pictures.panels import (
+from drive_id.result.pictures.panels import (
     COLOURS,
     CURRENT,
     NORMAL,
@@ -25,9 +26,8 @@ from drive_id.pictures.panels import (
     name,
     place,
 )
-from drive_id.pictures.picture import Picture
-from drive_id.pictures.styles import style_of
-from drive_id.quantity import scaled_unit
+from drive_id.result.pictures.picture import Picture
+from drive_id.result.pictures.styles import style_of
 from drive_id.types import BoolArray, FloatArray, GroundTruth, Samples
 
 DARK = "#00429d"

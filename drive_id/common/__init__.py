@@ -1,0 +1,1 @@
+"""What every room uses: sentences and numbers for people, settings, origins, health, the version."""

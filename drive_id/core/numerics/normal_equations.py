@@ -106,14 +106,18 @@ def add_triangle(block: FloatArray, columns: IntArray, triangle: FloatArray) -> 
 def penalized(
     normal: FloatArray, moment: FloatArray, penalties: Sequence[sparse.csr_array], first: int
 ) -> list[FloatArray]:
-    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in so many first unknowns."""
+    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in so many first unknowns.
+
+    ``normal`` is overwritten.
+    """
     inner, outer, estimates = slice(first), slice(first, None), []
     factor, scale = factorize(normal[outer, outer], penalties[0][outer, outer])
     half, known = (  # (K, N) in the order of LAPACK, so that nothing is copied
         linalg.solve_triangular(factor, (rows / scale).T, lower=True, overwrite_b=True, check_finite=False)
         for rows in (normal[inner, outer], moment[None, outer])
     )
-    schur = normal[inner, inner] - half.T @ half
+    schur = normal[inner, inner]
+    schur -= half.T @ half
     for penalty in penalties:
         last, own = factorize(schur, penalty[inner, inner])
         whole = Factor(factor, half / own, last, np.append(scale, own))

@@ -61,8 +61,7 @@ class WindowSums:
         self.effects: FloatArray | None = None
         """Z'z (FOLDS, size, EFFECT_COLUMNS), z being the columns of the effects; see :meth:`with_effects`."""
         self.known: dict[Any, Any] = {}  # to solvers of these folds, with any effects
-        # triangles and rows of the folds over the kept windows alone, where these are not all
-        self._some: tuple[list[FloatArray], FloatArray] | None = None
+        self._some: list[FloatArray] = []  # triangles of the folds over the kept windows, where these are not all
         self._counts = np.zeros(FOLDS)
         self._pending: list[Windows] = []
         self._segment = 0  # of the pending windows
@@ -155,6 +154,7 @@ class WindowSums:
         other.known = self.known
         numbers, kept = sorted(self._kept), self.kept()
         products = np.zeros((FOLDS, model.summed.size, EFFECT_COLUMNS))
+        some = WindowSums(model).triangles() if self.thinned and not self._some else []
 
         def of_fold(fold: int) -> list[tuple[int, Windows]]:
             own = [(number, windows) for number, windows in zip(numbers, kept, strict=True) if number % FOLDS == fold]
@@ -164,8 +164,10 @@ class WindowSums:
             together = replace(together, effects=columns(together))
             for rows, indices in model.nonzero_columns(together):
                 first, last = np.searchsorted(indices, (model.effects.start, model.effects.stop))
-                chosen = indices[first:last] - model.effects.start
-                products[fold, indices[:, None], chosen] += rows.T @ rows[:, first:last]
+                chosen, block = indices[first:last] - model.effects.start, rows.T @ rows
+                products[fold, indices[:, None], chosen] += block[:, first:last]
+                if some:  # where the effects do not count
+                    add_triangle(block, indices, some[fold])
             edges = np.cumsum([0, *(len(windows) for _, windows in own)]).tolist()
             return [
                 (number, together.part(slice(*edge))) for (number, _), edge in zip(own, pairwise(edges), strict=True)
@@ -173,19 +175,19 @@ class WindowSums:
 
         for done in in_threads(of_fold, range(FOLDS)):
             other._kept |= dict(done)  # noqa: SLF001  # of its own class
+        self._some = some or self._some
         other.effects = self._extrapolated(products) if self.thinned else products
         return other
 
     def _extrapolated(self, products: FloatArray) -> FloatArray:
         """Return the products (F, size, E) of all windows, see :meth:`with_effects`."""
-        if self._some is None:
-            kept = self.over(self.model)
-            self._some = kept.triangles(), kept.counts
-        (some, rows), folds = self._some, self.triangles()
+        some, folds, rows = self._some, self.triangles(), np.zeros(FOLDS)
+        for number, windows in self._kept.items():
+            rows[number % FOLDS] += 2.0 * windows.weights.sum()
         effects, size = self.model.effects, self.model.summed.size
         total = unpacked(np.sum(some, axis=0), size)
         every = unpacked(np.sum(folds, axis=0), size) * rows.sum() / max(float(self.counts.sum()), 1.0)
-        total[effects] = every[effects] = 0.0
+        total[effects] = total[:, effects] = every[effects] = every[:, effects] = 0.0
         scale = np.sqrt(np.maximum(np.diag(every), TINY))
         shrunk = (total + _UNSEEN * every) / scale[:, None] / scale
         shrunk[np.diag_indices_from(shrunk)] += _ROUNDING
@@ -208,7 +210,7 @@ class WindowSums:
         theirs = other.finished()
         self._finish()
         self._form_products()
-        self._some = None
+        self._some = []
         if self.model.reciprocal != theirs.model.reciprocal:
             self._reduce()
             theirs._reduce()  # noqa: SLF001  # of its own class
@@ -369,7 +371,7 @@ class WindowSums:
         fold, whole = self._segment % FOLDS, windows.part(~windows.short) if windows.short.any() else windows
         if form:
             self._due.append((fold, whole))
-        self._some = None
+        self._some = []
         self._counts[fold] += whole.weights.sum()
         self.windows += len(whole)
         self._last = self._segment

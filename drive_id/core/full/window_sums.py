@@ -164,10 +164,14 @@ class WindowSums:
             together = replace(together, effects=columns(together))
             for rows, indices in model.nonzero_columns(together):
                 first, last = np.searchsorted(indices, (model.effects.start, model.effects.stop))
-                chosen, block = indices[first:last] - model.effects.start, rows.T @ rows
-                products[fold, indices[:, None], chosen] += block[:, first:last]
+                block, chosen = (
+                    rows.T @ (rows if some else rows[:, first:last]),
+                    indices[first:last] - model.effects.start,
+                )
                 if some:  # where the effects do not count
                     add_triangle(block, indices, some[fold])
+                    block = block[:, first:last]
+                products[fold, indices[:, None], chosen] += block
             edges = np.cumsum([0, *(len(windows) for _, windows in own)]).tolist()
             return [
                 (number, together.part(slice(*edge))) for (number, _), edge in zip(own, pairwise(edges), strict=True)

@@ -164,10 +164,8 @@ class WindowSums:
             together = replace(together, effects=columns(together))
             for rows, indices in model.nonzero_columns(together):
                 first, last = np.searchsorted(indices, (model.effects.start, model.effects.stop))
-                block, chosen = (
-                    rows.T @ (rows if some else rows[:, first:last]),
-                    indices[first:last] - model.effects.start,
-                )
+                chosen = indices[first:last] - model.effects.start
+                block = rows.T @ (rows if some else rows[:, first:last])
                 if some:  # where the effects do not count
                     add_triangle(block, indices, some[fold])
                     block = block[:, first:last]

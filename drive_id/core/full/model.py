@@ -307,9 +307,10 @@ class FullModel:
         first, last = (layout.maps(angle[:, end], orders) for end in (0, 1))
         for space, maps in first.items():
             rows = space.rows(np.concatenate([i_dq[:, 0], i_dq[:, 1]]))
-            column, value = (x.reshape(2, len(angle), *x.shape[1:]) for x in (rows.column, rows.value))
+            shape = 2, len(angle), *rows.column.shape[1:]
+            start = np.array([start for start, _ in maps])
             factor = np.array([[factor for _, factor in own] for own in (maps, last[space])])
-            yield space, column, value, turn, np.array([start for start, _ in maps]), factor
+            yield space, rows.column.reshape(shape), rows.value.reshape(shape), turn, start, factor
 
 
 def _neighbours(ends: FloatArray) -> tuple[IntArray, list[int]]:

@@ -242,6 +242,9 @@ class Solver:
         The penalty acts on the map alone: all else is eliminated once per fold, ``S = A_mm - A_mn A_nn^-1 A_nm``, and
         ``S + lambda P`` is solved for each penalty lambda.
         """
+        own = ModelSpec(spec.reciprocal, spec.orders, penalty=spec.penalty)
+        for other in set(self._known) - {own}:  # each is as large as what a thread needs here
+            del self._known[other]
         t, voltage = sum_basis(self.model, spec), self._voltage(spec)
         tried = [self._penalty(t, penalty) for penalty in penalties or (spec.penalty,)]
         of_map = len(np.unique(t[self.model.summed.map].indices))
@@ -375,10 +378,12 @@ class Solver:
             return known
         matrix, t = self.total if without is None else self._without(without), map_basis(self.model, spec)
         penalty = known.penalty if known else self._penalty(t, spec.penalty, noise)
-        factor, scale = known.factor if known else factorize(congruent(t, matrix), penalty)
-        products = np.asarray(t.T @ matrix[:, : self._others]) / scale[:, None]
-        half = linalg.solve_triangular(factor, products, lower=True, check_finite=False)
-        beside = matrix[: self._others, : self._others].copy()
+        products, beside = np.asarray(t.T @ matrix[:, : self._others]), matrix[: self._others, : self._others].copy()
+        normal = np.empty(0) if known else congruent(t, matrix)
+        del matrix  # which may be large, for several threads
+        factor, scale = known.factor if known else factorize(normal, penalty)
+        products /= scale[:, None]
+        half = linalg.solve_triangular(factor, products, lower=True, overwrite_b=True, check_finite=False)
         maps = _Maps(t, penalty, (factor, scale), half, beside, self._effects)
         if plain:
             self._known[spec] = maps

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import reduce
 from itertools import pairwise
 from typing import Any
 
@@ -187,24 +188,29 @@ class WindowSums:
         for number, windows in self._kept.items():
             rows[number % FOLDS] += 2.0 * windows.weights.sum()
         effects, size = self.model.effects, self.model.summed.size
-        total = unpacked(np.sum(some, axis=0), size)
-        every = unpacked(np.sum(folds, axis=0), size) * rows.sum() / max(float(self.counts.sum()), 1.0)
+        total = unpacked(reduce(np.add, some), size)
+        every = unpacked(reduce(np.add, folds), size) * rows.sum() / max(float(self.counts.sum()), 1.0)
         total[effects] = total[:, effects] = every[effects] = every[:, effects] = 0.0
         scale = np.sqrt(np.maximum(np.diag(every), TINY))
         shrunk = (total + _UNSEEN * every) / scale[:, None] / scale
         shrunk[np.diag_indices_from(shrunk)] += _ROUNDING
-        factor, outer = linalg.cho_factor(shrunk, lower=True), products.sum(axis=0)
+        outer = products.sum(axis=0)
         outer[effects] = 0.0
+        used = np.flatnonzero(outer.any(axis=0))  # many an effect has no data
+        factor, outer = linalg.cho_factor(shrunk, lower=True, overwrite_a=True), outer[:, used]
         b = np.zeros_like(outer)
         for _ in range(_STEPS):
             b += linalg.cho_solve(factor, (outer - total @ b) / scale[:, None]) / scale[:, None]
-        out = np.empty_like(products)
-        for fold, product in enumerate(products):
+        out = np.zeros_like(products)
+        square = np.ix_(used + effects.start, np.arange(len(used)))
+        for fold, product in enumerate(products[:, :, used]):
             share = self.counts[fold] / max(float(rows[fold]), 1.0)
             own, explained = (unpacked(each[fold], size) @ b for each in (some, folds))
-            out[fold] = explained + share * (product - own)
-            inner = share * (product[effects] - b.T @ own) + b.T @ explained
-            out[fold][effects] = 0.5 * (inner + inner.T)
+            found = explained + share * (product - own)
+            inner = share * (product[square] - b.T @ own) + b.T @ explained
+            found[effects] = 0.0
+            found[square] = 0.5 * (inner + inner.T)
+            out[fold][:, used] = found
         return out
 
     def merge(self, other: WindowSums) -> None:

@@ -344,15 +344,9 @@ def met(column: ColumnArray, begin: int, end: int, functions: int) -> IntArray:
     "f8[:, :, ::1]"
 )
 def add_ends(
-    column: ColumnArray,
-    value: FloatArray,
-    turn: FloatArray,
-    factor: FloatArray,
-    used: IntArray,
-    begin: int,
-    first: int,
-    out: FloatArray,
-) -> None:
+    column: ColumnArray, value: FloatArray, turn: FloatArray, factor: FloatArray, used: IntArray, begin: int,
+    first: int, out: FloatArray,
+) -> None:  # fmt: skip
     """Add the flux at both ends of some windows, for all maps in one space, to the regression's rows.
 
     Parameters
@@ -392,16 +386,9 @@ def add_ends(
     "const i4[::1], const i4[::1], const f8[::1], f8[:, :, ::1]"
 )
 def add_end(
-    column: ColumnArray,
-    value: FloatArray,
-    turn: FloatArray,
-    factor: FloatArray,
-    start: IntArray,
-    first: ColumnArray,
-    unknown: ColumnArray,
-    share: FloatArray,
-    out: FloatArray,
-) -> None:
+    column: ColumnArray, value: FloatArray, turn: FloatArray, factor: FloatArray, start: IntArray, first: ColumnArray,
+    unknown: ColumnArray, share: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
     """Add the flux at one end of the windows, likewise, to the regression's rows times a matrix T.
 
     Parameters

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from drive_id.errors import SamplePeriodError
 from drive_id.quantity import counted
@@ -141,15 +142,14 @@ def _inferred_losses(delay: FloatArray, step: float) -> tuple[IntArray, int]:
     Late messages, also many in a row, are followed by others in time; a gap raises the delay of all that follow. So
     the least delay of blocks counts, over as many messages as are late in a row.
     """
-    from scipy.ndimage import minimum_filter1d  # noqa: PLC0415  # takes 0.1 s to load; only stamps that jitter need it
-
     lost = np.zeros(len(delay), np.int64)
     size, block, spread = _blocks(delay, step)
     if not len(block):
         return lost, round(float(np.ptp(delay)) / step) + 1
     least = max(0.5 * step, _LIKELY * spread)
     reach = min(max(2 * _FEWEST, _ONWARD // size), len(block))
-    lasting = minimum_filter1d(_closed(block), reach, mode="nearest", origin=-(reach // 2))
+    ndimage = scipy.ndimage  # loaded here, in 0.1 s: only stamps that jitter need it
+    lasting = ndimage.minimum_filter1d(ndimage.grey_closing(block, _TOOTH), reach, mode="nearest", origin=-(reach // 2))
     rises, level = np.zeros(len(block), np.int64), float(lasting[0])
     for j in np.flatnonzero(np.diff(lasting[: -_FEWEST // 2])) + 1:
         rise = float(lasting[j]) - level
@@ -182,20 +182,13 @@ def _blocks(delay: FloatArray, step: float) -> tuple[int, FloatArray, float]:
             spread = float(np.quantile(np.abs(steps - step * np.rint(steps / step)), _MOSTLY)) / _AT_MOSTLY
             if abs(usual) > _ROUGH * size * step:
                 continue  # a part of a batch of messages
-            teeth = np.mean(_closed(common) - common > 0.5 * step)
+            teeth = np.mean(scipy.ndimage.grey_closing(common, _TOOTH) - common > 0.5 * step)
             if _LIKELY * spread <= 0.5 * step and np.median(np.abs(steps)) <= 0.5 * step and teeth <= _FEW_TEETH:
                 return size, common, spread
             spread = max(float(np.quantile(np.abs(steps), _MOSTLY)) / _AT_MOSTLY, step / _LIKELY)
             if spread < best[2]:
                 best = (size, common, spread)
     return best
-
-
-def _closed(block: FloatArray) -> FloatArray:
-    """Fill dips of delays (B,) that last for less than so many blocks."""
-    from scipy.ndimage import grey_closing  # noqa: PLC0415  # as above
-
-    return np.asarray(grey_closing(block, _TOOTH))
 
 
 def _place(delay: FloatArray, size: int, block: int, found: int, step: float) -> int:

@@ -242,9 +242,6 @@ class Solver:
         The penalty acts on the map alone: all else is eliminated once per fold, ``S = A_mm - A_mn A_nn^-1 A_nm``, and
         ``S + lambda P`` is solved for each penalty lambda.
         """
-        own = ModelSpec(spec.reciprocal, spec.orders, penalty=spec.penalty)
-        for other in set(self._known) - {own}:  # each is as large as what a thread needs here
-            del self._known[other]
         t, voltage = sum_basis(self.model, spec), self._voltage(spec)
         tried = [self._penalty(t, penalty) for penalty in penalties or (spec.penalty,)]
         of_map = len(np.unique(t[self.model.summed.map].indices))

@@ -48,7 +48,7 @@ def test_a_fit_does_not_load_what_it_has_no_use_for(simulation, tmp_path, method
     write_recording(tmp_path / "bag", simulation.samples)  # as of a real drive, without the truth to compare with
     modules = loaded("fit", tmp_path / "bag", "--method", method, "--output", tmp_path / "fit", "--quiet")
     assert "drive_id.core.paper.regression" in modules
-    unused = {f"scipy.{name}" for name in ("io", "signal", "stats")}  # maps are judged by scipy's splines
+    unused = {f"scipy.{name}" for name in ("interpolate", "ndimage", "io", "special", "signal", "optimize", "stats")}
     unused |= {"asyncio", "matplotlib.pyplot", "distributed", "drive_id.bench.drive", "rosbags"}
     assert modules & unused == set()
 

@@ -157,11 +157,11 @@ def rough_fit(
     )
     if not (np.isfinite(total.matrix).all() and np.isfinite(total.square).all() and (total.square > 0).all()):
         return None
-    solved = [_solved(total.matrix, right) for right in total.right.T]
-    left = total.square - np.array([x @ right for x, right in zip(solved, total.right.T, strict=True)])
+    solved = _solved(total.matrix, total.right)
+    left = total.square - np.sum(solved * total.right, axis=0)
     shares = np.sqrt(np.maximum(left, 0.0) / total.square)
     best = int(shares.argmin())
-    x, i_max = solved[best], excerpts[0].i_max
+    x, i_max = solved[:, best], excerpts[0].i_max
     resistance, _, magnet_d, magnet_q, inductance, _, saliency_d, saliency_q, *_ = x.tolist()
     return RoughFit(
         reading,
@@ -198,7 +198,7 @@ def _aligned(excerpts: Sequence[Excerpt], reading: Reading, delays: Sequence[flo
     if not choices:
         return []
     first = choices[0][0]
-    x = _solved(first.matrix, first.right[:, 0])
+    x = _solved(first.matrix, first.right[:, :1])[:, 0]
     return [first, *(min(found, key=lambda sums: sums.left(x)) for found in choices[1:])]
 
 
@@ -240,18 +240,19 @@ def _flux_terms(i: ComplexArray) -> ComplexArray:
     ])  # fmt: skip
 
 
-def _solved(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve the normal equations without negative inductance, resistance and drop."""
-    free = list(range(len(right)))
-    scale = np.sqrt(np.maximum(np.diag(matrix), TINY))
-    while True:
-        scaled = matrix[np.ix_(free, free)] / np.outer(scale[free], scale[free]) + _RIDGE * np.eye(len(free))
-        x = np.zeros(len(right))
-        x[free] = np.linalg.solve(scaled, right[free] / scale[free]) / scale[free]
-        negative = next((k for k in (_INDUCTANCE, _RESISTANCE, _DROP) if x[k] < 0), None)
-        if negative is None:
-            return x
-        free = [k for k in free if k != negative and not (negative == _INDUCTANCE and k == _SATURATION)]
+def _solved(matrix: FloatArray, right: FloatArray, without: frozenset[int] = frozenset()) -> FloatArray:
+    """Solve the normal equations for (P, D) without negative inductance, resistance and drop, and some unknowns."""
+    free = np.array([k for k in range(len(right)) if k not in without])
+    scale = np.sqrt(np.maximum(np.diag(matrix), TINY))[free, None]
+    scaled, x = matrix[free[:, None], free] / (scale * scale.T), np.zeros_like(right)
+    x[free] = np.linalg.solve(scaled + _RIDGE * np.eye(len(free)), right[free] / scale) / scale
+    for k in (_INDUCTANCE, _RESISTANCE, _DROP):
+        negative = x[k] < 0
+        if negative.any():
+            x[:, negative] = _solved(
+                matrix, right[:, negative], without | ({k, _SATURATION} if k == _INDUCTANCE else {k})
+            )
+    return x
 
 
 def _changes(values: ComplexArray, ahead: int) -> FloatArray:

@@ -8,14 +8,16 @@ the paper's methods: one of 100 000 samples moves a map by several percent, and 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from drive_id.common.messages import Message
 from drive_id.core import frames
+from drive_id.core.numerics.compiled import compiled
 from drive_id.core.numerics.largest import Largest
-from drive_id.types import BoolArray, FloatArray, Samples
+from drive_id.types import FloatArray, Samples
 
 _KEPT = 1 << 14  # largest bends: the quantile is exact up to 16 million samples
 _FACTOR = 4.0  # of the usual bend, above which a sample stands out
@@ -90,8 +92,13 @@ def _scan(run: Sequence[FloatArray], currents: Largest, angles: Largest) -> None
     at, steps = time[2:-2], frames.wrapped(np.diff(angle))
     if not len(at):
         return
-    currents.add(np.column_stack([*_pattern(_off_middle(i_dq)), at, np.abs(_off_middle(i_abc)[1:-1]).argmax(axis=1)]))
-    angles.add(np.column_stack([*_pattern(0.5 * (steps[:-1] - steps[1:])[:, None]), at]))
+    phases, turns = np.abs(_off_middle(i_abc)[1:-1]), 0.5 * (steps[:-1] - steps[1:])[:, None]
+    for off, kept, beside in ((_off_middle(i_dq), currents, (at, phases.argmax(axis=1))), (turns, angles, (at,))):
+        rows = np.empty((len(at), 2 + len(beside)))
+        for number, companion in enumerate(beside, 2):
+            rows[:, number] = companion
+        _bends(np.ascontiguousarray(off), rows)
+        kept.add(rows)
 
 
 def _off_middle(x: FloatArray) -> FloatArray:
@@ -99,16 +106,21 @@ def _off_middle(x: FloatArray) -> FloatArray:
     return np.asarray(x[1:-1] - 0.5 * (x[:-2] + x[2:]))
 
 
-def _pattern(off: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return of how far signals are off (N - 2, C) the size (N - 4,), and where it has the pattern of single samples.
+@compiled("const f8[:, ::1], f8[:, ::1]")
+def _bends(off: FloatArray, rows: FloatArray) -> None:
+    """Write how far signals are off (N - 2, C), and whether as single samples are, in front of rows (N - 4, ...).
 
-    The pattern is that of the same sample in the neighbours: half as far to the other side.
+    Their pattern is that of the same sample in the neighbours: half as far to the other side.
     """
-    square, before, after = (
-        np.square(x).sum(axis=1) for x in (off[1:-1], off[:-2] + 0.5 * off[1:-1], off[2:] + 0.5 * off[1:-1])
-    )
-    alike = _ALIKE**2 * square
-    return np.sqrt(square), (before < alike) & (after < alike)
+    for k in range(len(rows)):
+        square, before, after = 0.0, 0.0, 0.0
+        for c in range(off.shape[1]):
+            half = 0.5 * off[k + 1, c]
+            square += off[k + 1, c] ** 2
+            before += (off[k, c] + half) ** 2
+            after += (off[k + 2, c] + half) ** 2
+        rows[k, 0] = math.sqrt(square)
+        rows[k, 1] = max(before, after) < _ALIKE**2 * square
 
 
 def _standing_out(bends: Largest, least: float) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from itertools import count
 
 import numpy as np
@@ -147,8 +148,7 @@ class _Search:
         squares, terms = self.subset(names).squares(delay), 0
         if delay != self.usual:
             terms = 1 if (2 * delay).is_integer() else 2
-        score = float(np.log(squares + self.rules.least)) + _PRICE * terms + sum(map(_price, sorted(names)))
-        score += max(self.rules.parts - 2, 0) * sum(CATALOGUE[name].price_of_part for name in sorted(names))
+        score = float(np.log(squares + self.rules.least)) + _PRICE * terms + _prices(names, self.rules.parts)
         return _Set(names, delay, squares, score, names | {DELAY} if terms else names)
 
     def alike(self, one: _Set, other: _Set) -> bool:
@@ -453,6 +453,13 @@ def held_out(
         return list(np.add.reduceat(np.square(left).sum(axis=1), edges, axis=0))
 
     return np.array([row for rows in in_threads(of_fold, range(FOLDS)) for row in rows])
+
+
+@lru_cache(maxsize=1 << 14)
+def _prices(names: frozenset[str], divided: int) -> float:
+    """Return the prices of effects, in so many parts of the data."""
+    of_parts = max(divided - 2, 0) * sum(CATALOGUE[name].price_of_part for name in sorted(names))
+    return float(sum(map(_price, sorted(names))) + of_parts)
 
 
 def _price(name: str) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -282,13 +282,9 @@ def _unseen(sums: WindowSums, solution: FullSolution) -> float:
     """Return the mean square residual of the windows that are not kept over that of the kept ones; 1 if all are."""
     if not sums.thinned:
         return 1.0
-    kept = sums.kept()
-    seen, rows = sum(map(partial(_squares, sums.model, solution.estimate), kept)), 2 * sum(map(len, kept))
+    kept = Windows.joined(sums.kept())
+    seen, rows = float(np.sum(sums.model.residuals(kept, solution.estimate) ** 2)), 2 * len(kept)
     return (solution.sum_of_squares - seen) / (solution.rows - rows) / max(seen / rows, TINY)
-
-
-def _squares(model: FullModel, estimate: FloatArray, windows: Windows) -> float:
-    return float(np.sum(model.residuals(windows, estimate) ** 2))
 
 
 def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> FloatArray:

@@ -242,24 +242,20 @@ class FullModel:
         known = np.flatnonzero(beside.any(axis=(0, 1)))
         beside = beside.take(known, axis=2)
         ends = list(self._ends(windows.i_dq[order], windows.angle[order], self.summed, self.orders))
-        spaces, size = len(ends) // 2, self.summed.size
-        one_each, place, shares = np.arange(size + 1, dtype=np.int32), np.zeros(size, np.int32), np.ones(size)
-        for group in (slice(*each) for each in pairwise(edges)):
-            columns = [known]
-            for both in zip(ends[:spaces], ends[spaces:], strict=True):
-                used = np.zeros(size, np.bool_)
-                for _, column, *_ in both:
-                    used[column[group]] = True
-                columns.append((both[0][3][:, None] + np.flatnonzero(used)).ravel())
-            indices = np.concatenate(columns)
-            place[indices] = np.arange(len(indices))
-            out = np.zeros((group.stop - group.start, 2, len(indices)))
-            out[:, :, : len(known)] = beside[order[group]]
-            for turn, column, value, start, factor in ends:
-                of_group = column[group], value[group], turn[group], start, factor[:, group].copy()
-                add_end(*of_group, one_each, place, shares, out)
-            rows = out if weight is None else out * np.sqrt(weight[order[group]])[:, None, None]
-            yield rows.reshape(-1, out.shape[2]), indices
+        for begin, end in pairwise(edges):
+            group = order[begin:end]
+            used = [met(column, begin, end, space.parameters) for space, column, *_ in ends]
+            starts = [start for *_, start, _ in ends]
+            columns = [(start[:, None] + own).ravel() for start, own in zip(starts, used, strict=True)]
+            indices = np.concatenate([known, *columns])
+            rows = np.zeros((len(group), 2, len(indices)))
+            rows[:, :, : len(known)], first = beside[group], len(known)
+            for (_, column, value, turn, _, factor), own, filled in zip(ends, used, columns, strict=True):
+                add_ends(column, value, turn, factor, own, begin, first, rows)
+                first += len(filled)
+            if weight is not None:
+                rows *= np.sqrt(weight[group])[:, None, None]
+            yield rows.reshape(-1, len(indices)), indices
 
     def residuals(self, windows: Windows, estimate: FloatArray) -> FloatArray:
         """Return Z times an estimate (size,), (N, 2), Vs."""
@@ -273,8 +269,9 @@ class FullModel:
         beside = t[: known.shape[2]].toarray()
         used, met = np.flatnonzero(beside.any(axis=0)), np.flatnonzero(beside.any(axis=1))
         out[:, :, used] = known[:, :, met] @ beside[np.ix_(met, used)]
-        for turn, column, value, start, factor in self._ends(windows.i_dq, windows.angle, self.columns, orders):
-            add_end(column, value, turn, start, factor, t.indptr, t.indices, t.data, out)
+        for _, column, value, turn, start, factor in self._ends(windows.i_dq, windows.angle, self.columns, orders):
+            for of_end in zip(column, value, turn, factor, strict=True):
+                add_end(*of_end, start, t.indptr, t.indices, t.data, out)
         return out if windows.weight is None else out * np.sqrt(windows.weight)[:, None, None]
 
     def map_squares(self, windows: Windows) -> float:
@@ -303,14 +300,17 @@ class FullModel:
 
     def _ends(
         self, i_dq: FloatArray, angle: FloatArray, layout: Layout, orders: Sequence[int]
-    ) -> Iterator[tuple[FloatArray, ColumnArray, FloatArray, IntArray, FloatArray]]:
+    ) -> Iterator[tuple[Space, ColumnArray, FloatArray, FloatArray, IntArray, FloatArray]]:
         """Yield the flux at both ends of all windows, space by space, as arguments of the kernels."""
-        for end, sign in ((0, -1.0), (1, 1.0)):
-            turn = sign * np.stack([np.cos(angle[:, end]), np.sin(angle[:, end])], axis=1)
-            for space, maps in layout.maps(angle[:, end], orders).items():
-                rows = space.rows(i_dq[:, end])
-                start, factor = np.array([start for start, _ in maps]), np.array([factor for _, factor in maps])
-                yield turn, rows.column, rows.value, start, factor
+        turn = np.ascontiguousarray(np.stack([np.cos(angle.T), np.sin(angle.T)], axis=-1))
+        turn[0] *= -1.0
+        first, last = (layout.maps(angle[:, end], orders) for end in (0, 1))
+        for space, maps in first.items():
+            rows = space.rows(np.concatenate([i_dq[:, 0], i_dq[:, 1]]))
+            shape = 2, len(angle), *rows.column.shape[1:]
+            start = np.array([start for start, _ in maps])
+            factor = np.array([[factor for _, factor in own] for own in (maps, last[space])])
+            yield space, rows.column.reshape(shape), rows.value.reshape(shape), turn, start, factor
 
 
 def _neighbours(ends: FloatArray) -> tuple[IntArray, list[int]]:
@@ -327,33 +327,74 @@ def _neighbours(ends: FloatArray) -> tuple[IntArray, list[int]]:
     return np.concatenate(done), np.cumsum([0, *map(len, done)]).tolist()
 
 
+@compiled("const i4[:, :, :, ::1], i8, i8, i8")
+def met(column: ColumnArray, begin: int, end: int, functions: int) -> IntArray:
+    """Return which functions of so many, increasing, are not zero at an end of windows, see :func:`add_ends`."""
+    used = np.zeros(functions, np.bool_)
+    for side in range(2):
+        for n in range(begin, end):
+            for axis in range(2):
+                for k in range(column.shape[3]):
+                    used[column[side, n, axis, k]] = True
+    return np.flatnonzero(used)
+
+
 @compiled(
-    "const i4[:, :, ::1], const f8[:, :, ::1], const f8[:, ::1], const i8[::1], const f8[:, ::1], "
-    "const i4[::1], const i4[::1], const f8[::1], f8[:, :, ::1]"
+    "const i4[:, :, :, ::1], const f8[:, :, :, ::1], const f8[:, :, ::1], const f8[:, :, ::1], const i8[::1], i8, i8, "
+    "f8[:, :, ::1]"
 )
-def add_end(
-    column: ColumnArray,
-    value: FloatArray,
-    turn: FloatArray,
-    start: IntArray,
-    factor: FloatArray,
-    first: ColumnArray,
-    unknown: ColumnArray,
-    share: FloatArray,
-    out: FloatArray,
-) -> None:
-    """Add the flux at one end of the windows, for all maps in one space, to the regression's rows times a matrix T.
+def add_ends(
+    column: ColumnArray, value: FloatArray, turn: FloatArray, factor: FloatArray, used: IntArray, begin: int,
+    first: int, out: FloatArray,
+) -> None:  # fmt: skip
+    """Add the flux at both ends of some windows, for all maps in one space, to the regression's rows.
 
     Parameters
     ----------
-    column, value : (N, 2, K)
-        Basis functions, see :class:`~drive_id.core.maps.flux_models.BasisRows`; no column twice in a row.
-    turn : (N, 2) float
+    column, value : (2, N, 2, K)
+        Basis functions at the ends, see :class:`~drive_id.core.maps.flux_models.BasisRows`.
+    turn : (2, N, 2) float
         Cosine and sine of the angle, times the sign of the end.
+    factor : (2, P, N) float
+        Factor on each map.
+    used : (U,) int
+        Functions that have a column, the same of each map.
+    begin, first : int
+        First of the windows, and column of the first function.
+    out : (..., 2, C) float
+        Of the windows from ``begin`` on.
+    """
+    place = np.zeros(used[-1] + 1, np.int64)
+    for j in range(len(used)):
+        place[used[j]] = first + j
+    for n in range(len(out)):
+        for side in range(2):
+            at = begin + n
+            for p in range(factor.shape[1]):
+                cosine, sine = turn[side, at, 0] * factor[side, p, at], turn[side, at, 1] * factor[side, p, at]
+                for k in range(column.shape[3]):
+                    d, q = place[column[side, at, 0, k]] + p * len(used), place[column[side, at, 1, k]] + p * len(used)
+                    by_d, by_q = value[side, at, 0, k], value[side, at, 1, k]
+                    out[n, 0, d] += cosine * by_d
+                    out[n, 1, d] += sine * by_d
+                    out[n, 0, q] -= sine * by_q
+                    out[n, 1, q] += cosine * by_q
+
+
+@compiled(
+    "const i4[:, :, ::1], const f8[:, :, ::1], const f8[:, ::1], const f8[:, ::1], const i8[::1], "
+    "const i4[::1], const i4[::1], const f8[::1], f8[:, :, ::1]"
+)
+def add_end(
+    column: ColumnArray, value: FloatArray, turn: FloatArray, factor: FloatArray, start: IntArray, first: ColumnArray,
+    unknown: ColumnArray, share: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Add the flux at one end of the windows, likewise, to the regression's rows times a matrix T.
+
+    Parameters
+    ----------
     start : (P,) int
         First column of each map.
-    factor : (P, N) float
-        Factor on each map.
     first : (size + 1,) int
         Index of the first entry of each row of T.
     unknown, share : (E,)

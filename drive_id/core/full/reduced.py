@@ -35,19 +35,22 @@ def delayed(delay: float) -> FloatArray:
     return combination
 
 
+_BASE = len(delayed(0.0))
+"""Number of :func:`voltage_columns`."""
 _EDGES = np.array(sorted([*SHIFTS, SHIFTS[-1] + 1, EARLIEST]))
 """Delays, samples, between which the columns are a straight line of the delay; at the earliest they change over."""
 _STARTS = np.array([delayed(low) for low in np.nextafter(_EDGES[:-1], np.inf)])
-_STEPS = (np.array([delayed(high) for high in _EDGES[1:]]) - _STARTS) / np.diff(_EDGES)[:, None]
+_LENGTHS = np.diff(_EDGES)
+_STEPS = (np.array([delayed(high) for high in _EDGES[1:]]) - _STARTS) / _LENGTHS[:, None]
 
 
 def best_delay(left: FloatArray) -> tuple[float, float, float]:
     """Return the delay, samples, that leaves least of a form over :func:`voltage_columns`, that, and the bend there."""
-    bend = np.einsum("kb,bc,kc->k", _STEPS, left, _STEPS)
-    slope = np.einsum("kb,bc,kc->k", _STEPS, left, _STARTS)
-    where = np.clip(-slope / np.maximum(bend, TINY), 0.0, np.diff(_EDGES))
+    along = _STEPS @ left
+    bend, slope = np.sum(along * _STEPS, axis=1), np.sum(along * _STARTS, axis=1)
+    where = np.clip(-slope / np.maximum(bend, TINY), 0.0, _LENGTHS)
     at = _STARTS + where[:, None] * _STEPS
-    squares = np.einsum("kb,bc,kc->k", at, left, at)
+    squares = np.sum(at @ left * at, axis=1)
     best = int(np.argmin(squares))
     return float(_EDGES[best] + where[best]), float(squares[best]), float(bend[best])
 
@@ -97,30 +100,29 @@ class Reduced:
         return np.concatenate([base, np.setdiff1d(effects, base)])
 
     def _own(self, names: Iterable[str]) -> list[tuple[str, IntArray]]:
-        first = len(voltage_columns(self.model)) - self.model.effects.start
+        first = _BASE - self.model.effects.start
         return [(name, first + np.arange(own.start, own.stop)) for name in names for own in [self.model.effect(name)]]
 
     def subset(self, names: frozenset[str]) -> Subset:
         """Return a set of effects by their names in ``EFFECTS``, solved."""
-        base, own = len(voltage_columns(self.model)), self._own(sorted(names))
+        own = self._own(sorted(names))
         if not own:
-            return Subset(names, self.form[:base, :base], {})
+            return Subset(names, self.form[:_BASE, :_BASE], {})
         places = np.concatenate([place for _, place in own])
-        within, across = self.form[np.ix_(places, places)], self.form[places, :base]
+        within, across = self.form[places[:, None], places], self.form[places, :_BASE]
         diagonal = np.diag(within)
         scale = np.where(diagonal > 0, np.sqrt(np.maximum(diagonal, TINY)), np.inf)  # without data, a value is zero
         values = np.linalg.lstsq(within / scale[:, None] / scale, across / scale[:, None], rcond=_DEPENDENT)[0]
         values /= scale[:, None]
-        left = self.form[:base, :base] - across.T @ values
+        left = self.form[:_BASE, :_BASE] - across.T @ values
         ends = np.cumsum([len(place) for _, place in own])
         by_name = {name: values[end - len(place) : end] for (name, place), end in zip(own, ends, strict=True)}
         return Subset(names, left, by_name)
 
     def estimate(self, found: Subset, delay: float) -> FloatArray:
         """Return the estimate (size,) of a set with a delay, see :class:`~drive_id.core.full.solver.FullSolution`."""
-        base = voltage_columns(self.model)
         right = np.zeros(len(self.form))
-        right[: len(base)] = delayed(delay)
+        right[:_BASE] = delayed(delay)
         for name, place in self._own(found.names):
             right[place] = -found.value(name, delay)
         summed = self.back(self.half @ right)

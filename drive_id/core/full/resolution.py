@@ -19,6 +19,7 @@ import numpy as np
 
 from drive_id.core.maps.coenergy import bent_edges
 from drive_id.core.maps.coverage import FLUX_CELLS
+from drive_id.core.numerics.normal_equations import nonnegative
 from drive_id.types import TINY, FloatArray, IntArray
 
 HARMONIC_CELLS = 4
@@ -124,9 +125,7 @@ def misfit_by_cell(
     excess, least = (squares - expected) / unit, max(_LEAST, negligible / unit)
     found = np.zeros(columns.shape[1])
     if np.max(columns.T @ excess / np.maximum(columns.sum(axis=0), 1.0)) > least:
-        from scipy.optimize import nnls  # noqa: PLC0415  # takes 0.14 s to load; few fits have such a misfit
-
-        found = nnls(columns, excess, maxiter=len(excess))[0]
+        found = nonnegative(columns.T @ columns, columns.T @ excess)
     split = of_axes[0].shape[1]
     return Misfit(found[:split], found[split:-1], max(least, _OF_LARGEST * float(found[:-1].max())))
 

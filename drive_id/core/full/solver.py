@@ -243,19 +243,16 @@ class Solver:
         ``S + lambda P`` is solved for each penalty lambda.
         """
         t, voltage = sum_basis(self.model, spec), self._voltage(spec)
-        normal, moment = congruent(t, self.total), t.T @ (self.total[:, : self._others] @ voltage[: self._others])
         tried = [self._penalty(t, penalty) for penalty in penalties or (spec.penalty,)]
         of_map = len(np.unique(t[self.model.summed.map].indices))
 
         def errors(number: int) -> list[float]:
-            fold = self._fold(number)
-            own, product = congruent(t, fold), fold[:, : self._others] @ voltage[: self._others]
-            del fold
-            own_moment, square = t.T @ product, voltage @ product
-            estimates = penalized(normal - own, moment - own_moment, tried, of_map)
-            return [
-                max(x @ (own @ x - 2 * own_moment) + square, 0.0) / max(self.counts[number], 1.0) for x in estimates
-            ]
+            others = self._without(number)
+            moment = t.T @ (others[:, : self._others] @ voltage[: self._others])
+            normal = congruent(t, others)
+            del others
+            estimates = penalized(normal, moment, tried, of_map)
+            return [self._squares(number, t @ x - voltage) / max(self.counts[number], 1.0) for x in estimates]
 
         return np.array(in_threads(errors, range(len(self._folds)) if folds is None else [int(k) for k in folds]))
 
@@ -331,10 +328,22 @@ class Solver:
         half = known.half(np.eye(self._others)[:, columns])
         return Reduced(self.model, known.maps.beside[np.ix_(columns, columns)] - half.T @ half, half, known.back)
 
-    def _fold(self, number: int) -> FloatArray:
-        """Return Z'Z (summed.size, summed.size) of a fold."""
+    def _without(self, number: int) -> FloatArray:
+        """Return Z'Z (summed.size, summed.size) of all folds but one."""
         effects = None if self._effects is None else self._effects[number]
-        return with_products(unpacked(self._folds[number], self.model.summed.size), effects, self.model)
+        fold = with_products(unpacked(self._folds[number], self.model.summed.size), effects, self.model)
+        return np.subtract(self.total, fold, out=fold)
+
+    def _squares(self, number: int, residual: FloatArray) -> float:
+        """Return the sum of squares of ``Z x`` over a fold, for x (summed.size,)."""
+        beside, effects = residual, self.model.effects
+        if self._effects is not None:
+            beside = residual.copy()
+            beside[effects] = 0.0
+        square = beside @ linalg.blas.dspmv(len(beside), 1.0, self._folds[number], beside)
+        if self._effects is not None:
+            square += (beside + residual) @ (self._effects[number] @ residual[effects])
+        return max(float(square), 0.0)
 
     def _left(self, solution: FullSolution, columns: IntArray) -> FloatArray:
         """Return the cross products of columns after projecting out the unknowns of a solution."""
@@ -364,15 +373,14 @@ class Solver:
         known = self._known.get(spec) if plain else None
         if known is not None and known.effects is self._effects:
             return known
-        matrix, t = self.total, map_basis(self.model, spec)
-        if without is not None:
-            fold = self._fold(without)
-            matrix = np.subtract(matrix, fold, out=fold)  # several folds at a time
+        matrix, t = self.total if without is None else self._without(without), map_basis(self.model, spec)
         penalty = known.penalty if known else self._penalty(t, spec.penalty, noise)
-        factor, scale = known.factor if known else factorize(congruent(t, matrix), penalty)
-        products = np.asarray(t.T @ matrix[:, : self._others]) / scale[:, None]
-        half = linalg.solve_triangular(factor, products, lower=True, check_finite=False)
-        beside = matrix[: self._others, : self._others].copy()
+        products, beside = np.asarray(t.T @ matrix[:, : self._others]), matrix[: self._others, : self._others].copy()
+        normal = np.empty(0) if known else congruent(t, matrix)
+        del matrix  # which may be large, for several threads
+        factor, scale = known.factor if known else factorize(normal, penalty)
+        products /= scale[:, None]
+        half = linalg.solve_triangular(factor, products, lower=True, overwrite_b=True, check_finite=False)
         maps = _Maps(t, penalty, (factor, scale), half, beside, self._effects)
         if plain:
             self._known[spec] = maps

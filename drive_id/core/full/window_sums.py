@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import reduce
 from itertools import pairwise
 from typing import Any
 
@@ -61,8 +62,7 @@ class WindowSums:
         self.effects: FloatArray | None = None
         """Z'z (FOLDS, size, EFFECT_COLUMNS), z being the columns of the effects; see :meth:`with_effects`."""
         self.known: dict[Any, Any] = {}  # to solvers of these folds, with any effects
-        # triangles and rows of the folds over the kept windows alone, where these are not all
-        self._some: tuple[list[FloatArray], FloatArray] | None = None
+        self._some: list[FloatArray] = []  # triangles of the folds over the kept windows, where these are not all
         self._counts = np.zeros(FOLDS)
         self._pending: list[Windows] = []
         self._segment = 0  # of the pending windows
@@ -155,6 +155,7 @@ class WindowSums:
         other.known = self.known
         numbers, kept = sorted(self._kept), self.kept()
         products = np.zeros((FOLDS, model.summed.size, EFFECT_COLUMNS))
+        some = WindowSums(model).triangles() if self.thinned and not self._some else []
 
         def of_fold(fold: int) -> list[tuple[int, Windows]]:
             own = [(number, windows) for number, windows in zip(numbers, kept, strict=True) if number % FOLDS == fold]
@@ -165,7 +166,11 @@ class WindowSums:
             for rows, indices in model.nonzero_columns(together):
                 first, last = np.searchsorted(indices, (model.effects.start, model.effects.stop))
                 chosen = indices[first:last] - model.effects.start
-                products[fold, indices[:, None], chosen] += rows.T @ rows[:, first:last]
+                block = rows.T @ (rows if some else rows[:, first:last])
+                if some:  # where the effects do not count
+                    add_triangle(block, indices, some[fold])
+                    block = block[:, first:last]
+                products[fold, indices[:, None], chosen] += block
             edges = np.cumsum([0, *(len(windows) for _, windows in own)]).tolist()
             return [
                 (number, together.part(slice(*edge))) for (number, _), edge in zip(own, pairwise(edges), strict=True)
@@ -173,34 +178,39 @@ class WindowSums:
 
         for done in in_threads(of_fold, range(FOLDS)):
             other._kept |= dict(done)  # noqa: SLF001  # of its own class
+        self._some = some or self._some
         other.effects = self._extrapolated(products) if self.thinned else products
         return other
 
     def _extrapolated(self, products: FloatArray) -> FloatArray:
         """Return the products (F, size, E) of all windows, see :meth:`with_effects`."""
-        if self._some is None:
-            kept = self.over(self.model)
-            self._some = kept.triangles(), kept.counts
-        (some, rows), folds = self._some, self.triangles()
+        some, folds, rows = self._some, self.triangles(), np.zeros(FOLDS)
+        for number, windows in self._kept.items():
+            rows[number % FOLDS] += 2.0 * windows.weights.sum()
         effects, size = self.model.effects, self.model.summed.size
-        total = unpacked(np.sum(some, axis=0), size)
-        every = unpacked(np.sum(folds, axis=0), size) * rows.sum() / max(float(self.counts.sum()), 1.0)
-        total[effects] = every[effects] = 0.0
+        total = unpacked(reduce(np.add, some), size)
+        every = unpacked(reduce(np.add, folds), size) * rows.sum() / max(float(self.counts.sum()), 1.0)
+        total[effects] = total[:, effects] = every[effects] = every[:, effects] = 0.0
         scale = np.sqrt(np.maximum(np.diag(every), TINY))
         shrunk = (total + _UNSEEN * every) / scale[:, None] / scale
         shrunk[np.diag_indices_from(shrunk)] += _ROUNDING
-        factor, outer = linalg.cho_factor(shrunk, lower=True), products.sum(axis=0)
+        outer = products.sum(axis=0)
         outer[effects] = 0.0
+        used = np.flatnonzero(outer.any(axis=0))  # many an effect has no data
+        factor, outer = linalg.cho_factor(shrunk, lower=True, overwrite_a=True), outer[:, used]
         b = np.zeros_like(outer)
         for _ in range(_STEPS):
             b += linalg.cho_solve(factor, (outer - total @ b) / scale[:, None]) / scale[:, None]
-        out = np.empty_like(products)
-        for fold, product in enumerate(products):
+        out = np.zeros_like(products)
+        square = np.ix_(used + effects.start, np.arange(len(used)))
+        for fold, product in enumerate(products[:, :, used]):
             share = self.counts[fold] / max(float(rows[fold]), 1.0)
             own, explained = (unpacked(each[fold], size) @ b for each in (some, folds))
-            out[fold] = explained + share * (product - own)
-            inner = share * (product[effects] - b.T @ own) + b.T @ explained
-            out[fold][effects] = 0.5 * (inner + inner.T)
+            found = explained + share * (product - own)
+            inner = share * (product[square] - b.T @ own) + b.T @ explained
+            found[effects] = 0.0
+            found[square] = 0.5 * (inner + inner.T)
+            out[fold][:, used] = found
         return out
 
     def merge(self, other: WindowSums) -> None:
@@ -208,7 +218,7 @@ class WindowSums:
         theirs = other.finished()
         self._finish()
         self._form_products()
-        self._some = None
+        self._some = []
         if self.model.reciprocal != theirs.model.reciprocal:
             self._reduce()
             theirs._reduce()  # noqa: SLF001  # of its own class
@@ -369,7 +379,7 @@ class WindowSums:
         fold, whole = self._segment % FOLDS, windows.part(~windows.short) if windows.short.any() else windows
         if form:
             self._due.append((fold, whole))
-        self._some = None
+        self._some = []
         self._counts[fold] += whole.weights.sum()
         self.windows += len(whole)
         self._last = self._segment

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drive_id.types import BoolArray, FloatArray
+from drive_id.types import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
-    from scipy.interpolate import NdPPoly, RectBivariateSpline
     from scipy.spatial import KDTree
 
 _STEPS = 40  # of Newton's method at most
@@ -24,25 +23,57 @@ _LEAST_DETERMINANT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Bicubic:
-    """A function on a grid, bicubic in each cell, whose derivatives at the nodes are given; see :meth:`through`."""
+    """A function on a grid, bicubic in each cell. Build it by :meth:`over` or :meth:`through`."""
 
-    cells: NdPPoly
+    x: FloatArray  # (D,)
+    y: FloatArray  # (Q,)
+    cells: FloatArray  # (D - 1, Q - 1, 4, 4), value and slope at both ends of each cell, along x and along y
+
+    @classmethod
+    def over(cls, x: FloatArray, y: FloatArray, value: FloatArray) -> Bicubic:
+        """Interpolate values (D, Q) by cubic splines, of at least four points along each axis."""
+        by_y = _slopes(y, value.T).T
+        return cls.through(x, y, value, _slopes(x, value), by_y, _slopes(x, by_y))
 
     @classmethod
     def through(
         cls, x: FloatArray, y: FloatArray, value: FloatArray, by_x: FloatArray, by_y: FloatArray, mixed: FloatArray
     ) -> Bicubic:
         """Take values and derivatives (D, Q) at the nodes; values and slopes are continuous everywhere."""
-        from scipy.interpolate import CubicHermiteSpline, NdPPoly  # noqa: PLC0415  # takes a while to load
-
-        # along x, value and slope by y are cubic; their coefficients (4, D - 1, 2, Q) are so along y
-        along_x = CubicHermiteSpline(x, np.stack([value, by_y], axis=1), np.stack([by_x, mixed], axis=1)).c
-        along_y = CubicHermiteSpline(y, along_x[:, :, 0], along_x[:, :, 1], axis=2).c
-        return cls(NdPPoly(along_y.transpose(2, 0, 3, 1), (x, y)))
+        nodes = np.stack([np.stack([value, by_y], axis=-1), np.stack([by_x, mixed], axis=-1)], axis=-2)
+        along_x = np.concatenate([nodes[:-1], nodes[1:]], axis=-2)
+        return cls(x, y, np.concatenate([along_x[:, :-1], along_x[:, 1:]], axis=-1))
 
     def ev(self, x: FloatArray, y: FloatArray, dx: int = 0, dy: int = 0) -> FloatArray:
-        """Return the function, or a derivative by x and y, at places (...) within the nodes."""
-        return np.asarray(self.cells((x, y), (dx, dy)))
+        """Return the function, or its first derivatives by x and y, at places (...) within the nodes."""
+        (of_x, along_x), (of_y, along_y) = _weights(self.x, x, dx), _weights(self.y, y, dy)
+        return np.asarray(np.einsum("...i,...ij,...j", along_x, self.cells[of_x, of_y], along_y))
+
+
+def _slopes(x: FloatArray, value: FloatArray) -> FloatArray:
+    """Return the slopes (N, K) of cubic splines through values (N, K), not-a-knot at both ends (de Boor 1978)."""
+    step, matrix, right = np.diff(x), np.zeros((len(x), len(x))), np.empty_like(value)
+    rise, inner = np.diff(value, axis=0) / step[:, None], np.arange(1, len(x) - 1)
+    matrix[inner, inner - 1], matrix[inner, inner + 1] = step[1:], step[:-1]
+    matrix[inner, inner] = 2 * (step[1:] + step[:-1])
+    right[1:-1] = 3 * (step[1:, None] * rise[:-1] + step[:-1, None] * rise[1:])
+    for end, beside in ((0, 1), (-1, -2)):
+        own, both = step[end], step[end] + step[beside]
+        matrix[end, [end, beside]] = step[beside], both
+        right[end] = ((own + 2 * both) * step[beside] * rise[end] + own**2 * rise[beside]) / both
+    return np.asarray(np.linalg.solve(matrix, right))
+
+
+def _weights(nodes: FloatArray, x: FloatArray, derivative: int) -> tuple[IntArray, FloatArray]:
+    """Return the cell of each place (...), and the weights (..., 4) of value and slope at both ends of it."""
+    cell = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
+    width = nodes[cell + 1] - nodes[cell]
+    t = (x - nodes[cell]) / width
+    s = 1.0 - t
+    if derivative:
+        rise = 6.0 * t * s / width
+        return cell, np.stack([-rise, s * (1.0 - 3.0 * t), rise, t * (3.0 * t - 2.0)], axis=-1)
+    return cell, np.stack([s * s * (1.0 + 2.0 * t), width * t * s * s, t * t * (3.0 - 2.0 * t), -width * t * t * s], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +85,13 @@ class Surfaces:
 
     i_d: FloatArray  # (D,), A
     i_q: FloatArray  # (Q,), A
-    d: RectBivariateSpline | Bicubic
-    q: RectBivariateSpline | Bicubic
+    d: Bicubic
+    q: Bicubic
 
     @classmethod
     def over(cls, i_d: FloatArray, i_q: FloatArray, values_d: FloatArray, values_q: FloatArray) -> Surfaces:
         """Interpolate values (D, Q)."""
-        from scipy.interpolate import RectBivariateSpline  # noqa: PLC0415  # takes a while to load
-
-        return cls(i_d, i_q, RectBivariateSpline(i_d, i_q, values_d), RectBivariateSpline(i_d, i_q, values_q))
+        return cls(i_d, i_q, Bicubic.over(i_d, i_q, values_d), Bicubic.over(i_d, i_q, values_q))
 
     @classmethod
     def around(

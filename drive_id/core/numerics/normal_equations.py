@@ -15,6 +15,8 @@ from drive_id.types import FloatArray, IntArray
 
 _JITTER = 1e-13  # added to the unit diagonal, so that rounding leaves the matrix positive definite
 _TILE = 256  # rows and columns at a time, which stay in the cache
+_FLAT = 1e-10  # slope of the squares relative to the largest one at first, from which on an unknown stays zero
+_EXCHANGES = 3  # how often each unknown may leave zero
 
 
 def congruent(t: sparse.csr_array, matrix: FloatArray) -> FloatArray:
@@ -104,14 +106,18 @@ def add_triangle(block: FloatArray, columns: IntArray, triangle: FloatArray) -> 
 def penalized(
     normal: FloatArray, moment: FloatArray, penalties: Sequence[sparse.csr_array], first: int
 ) -> list[FloatArray]:
-    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in so many first unknowns."""
+    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in so many first unknowns.
+
+    ``normal`` is overwritten.
+    """
     inner, outer, estimates = slice(first), slice(first, None), []
     factor, scale = factorize(normal[outer, outer], penalties[0][outer, outer])
     half, known = (  # (K, N) in the order of LAPACK, so that nothing is copied
         linalg.solve_triangular(factor, (rows / scale).T, lower=True, overwrite_b=True, check_finite=False)
         for rows in (normal[inner, outer], moment[None, outer])
     )
-    schur = normal[inner, inner] - half.T @ half
+    schur = normal[inner, inner]
+    schur -= half.T @ half
     for penalty in penalties:
         last, own = factorize(schur, penalty[inner, inner])
         whole = Factor(factor, half / own, last, np.append(scale, own))
@@ -131,6 +137,28 @@ def solved(normal: FloatArray, right: FloatArray) -> FloatArray:
     """Return the solution (K,) of symmetric positive definite equations (K, K)."""
     factor, scale = factorize(normal)
     return np.asarray(linalg.cho_solve((factor, True), right / scale, check_finite=False) / scale)
+
+
+def nonnegative(normal: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the least squares (K,) that are not negative, of normal equations (K, K) (Lawson and Hanson 1974)."""
+    found, free = np.zeros(len(right)), np.zeros(len(right), np.bool_)
+    for _ in range(_EXCHANGES * len(right)):
+        slope = np.where(free, 0.0, right - normal @ found)
+        if not slope.max() > _FLAT * np.abs(right).max():
+            break
+        free[slope.argmax()] = True
+        while True:
+            tried = np.zeros(len(right))
+            tried[free] = np.linalg.lstsq(normal[np.ix_(free, free)], right[free])[0]
+            passed = np.flatnonzero(free & (tried <= 0.0))
+            if not len(passed):
+                break
+            shares = found[passed] / (found[passed] - tried[passed])
+            found += shares.min() * (tried - found)
+            found[passed[shares.argmin()]] = 0.0
+            free &= found > 0.0
+        found = tried
+    return found
 
 
 def factorize(

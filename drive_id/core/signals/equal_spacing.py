@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import grey_closing, minimum_filter1d
+import scipy
 
 from drive_id.common.quantity import counted
 from drive_id.errors import SamplePeriodError
@@ -148,7 +148,8 @@ def _inferred_losses(delay: FloatArray, step: float) -> tuple[IntArray, int]:
         return lost, round(float(np.ptp(delay)) / step) + 1
     least = max(0.5 * step, _LIKELY * spread)
     reach = min(max(2 * _FEWEST, _ONWARD // size), len(block))
-    lasting = minimum_filter1d(grey_closing(block, _TOOTH), reach, mode="nearest", origin=-(reach // 2))
+    ndimage = scipy.ndimage  # loaded here, in 0.1 s: only stamps that jitter need it
+    lasting = ndimage.minimum_filter1d(ndimage.grey_closing(block, _TOOTH), reach, mode="nearest", origin=-(reach // 2))
     rises, level = np.zeros(len(block), np.int64), float(lasting[0])
     for j in np.flatnonzero(np.diff(lasting[: -_FEWEST // 2])) + 1:
         rise = float(lasting[j]) - level
@@ -181,7 +182,7 @@ def _blocks(delay: FloatArray, step: float) -> tuple[int, FloatArray, float]:
             spread = float(np.quantile(np.abs(steps - step * np.rint(steps / step)), _MOSTLY)) / _AT_MOSTLY
             if abs(usual) > _ROUGH * size * step:
                 continue  # a part of a batch of messages
-            teeth = np.mean(grey_closing(common, _TOOTH) - common > 0.5 * step)
+            teeth = np.mean(scipy.ndimage.grey_closing(common, _TOOTH) - common > 0.5 * step)
             if _LIKELY * spread <= 0.5 * step and np.median(np.abs(steps)) <= 0.5 * step and teeth <= _FEW_TEETH:
                 return size, common, spread
             spread = max(float(np.quantile(np.abs(steps), _MOSTLY)) / _AT_MOSTLY, step / _LIKELY)

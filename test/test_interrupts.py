@@ -7,6 +7,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import weakref
 from pathlib import Path
 
@@ -108,6 +109,32 @@ def test_an_interrupt_in_a_callback_is_not_lost(run):
         signal.sigtimedwait([], 60)  # until the interrupt comes again
 
     assert run(command) == (130, "drive-id: interrupted; no output was left behind.\n")
+
+
+def test_an_interrupt_that_comes_again_while_it_is_found_lost_is_not_lost(run, monkeypatch):
+    """On a busy machine, the thread that repeats it may be done before its start returns."""
+    starts = []
+
+    class Quick(threading.Timer):
+        def start(self):
+            super().start()
+            starts.append(self)
+            if len(starts) == 1:
+                self.join()
+
+    class Object:
+        pass
+
+    def command():
+        kept = Object()
+        callback = weakref.ref(kept, ctrl_c)
+        del kept
+        assert callback() is None
+        signal.sigtimedwait([], 60)
+
+    monkeypatch.setattr(interrupts.threading, "Timer", Quick)
+    assert run(command) == (130, "drive-id: interrupted; no output was left behind.\n")
+    assert len(starts) == 2
 
 
 def test_an_interrupt_that_became_another_error_is_one(run):

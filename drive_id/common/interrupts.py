@@ -21,13 +21,15 @@ class _Interrupts:
 
     def __init__(self) -> None:
         self.holding = 0  # sections, one within the other
-        self.waiting = self.over = False
+        self.waiting = self.over = self.swallowing = self.missed = False
         self.complete: deque[Path] = deque(maxlen=_MOST)
         self.timer: threading.Timer | None = None
 
     def handle(self, _number: int, _frame: FrameType | None) -> None:
         if self.holding:
             self.waiting = True
+        elif self.swallowing:  # on a busy machine, the repetition comes before the hook has ended
+            self.missed = True
         elif not self.over:
             raise KeyboardInterrupt
 
@@ -37,9 +39,13 @@ class _Interrupts:
             sys.__unraisablehook__(lost)
             return
         main = threading.main_thread().ident or 0  # to the thread itself, which may wait for the system
-        self.timer = threading.Timer(_AGAIN, signal.pthread_kill, [main, signal.SIGINT])
-        self.timer.daemon = True
-        self.timer.start()
+        self.swallowing = self.missed = True
+        while self.missed:
+            self.missed = False
+            self.timer = threading.Timer(_AGAIN, signal.pthread_kill, [main, signal.SIGINT])
+            self.timer.daemon = True
+            self.timer.start()
+        self.swallowing = False
 
 
 _interrupts = _Interrupts()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse.linalg import lsqr
@@ -137,12 +137,60 @@ def mirrored_points(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: 
     return points[:: max(1, len(points) // SEARCHED)]
 
 
+_MIRROR = np.array([1.0, -1.0])
+
+
+@dataclass(frozen=True, eq=False)
+class _Symmetry:
+    """A fitted map and its mirror image in the d axis, at currents (N, 2), A, rotated back by an angle."""
+
+    fit: FullFit
+    i_dq: FloatArray
+
+    def _rows(self, angle: float) -> list[BasisRows]:
+        return [self.fit.model.flux.rows(rotated(self.i_dq * sign, -angle)) for sign in (np.ones(2), _MIRROR)]
+
+    def difference(self, angle: float) -> FloatArray:
+        """Return the asymmetry (N, 2), Wb."""
+        gamma = self.fit.solution.estimate[self.fit.model.map]
+        one, other = (rotated(rows.dot(gamma), angle) for rows in self._rows(angle))
+        return np.asarray(one - _MIRROR * other)
+
+    def differences(self, angle: float) -> FloatArray:
+        """Return the same (B, N, 2) of each change of the map, by which it is uncertain."""
+        changes = self.fit.assessment.changes[self.fit.model.map]
+        one, other = (
+            rotated(np.moveaxis((rows.sparse(len(changes)) @ changes).reshape(len(self.i_dq), 2, -1), -1, 0), angle)
+            for rows in self._rows(angle)
+        )
+        return np.asarray(one - _MIRROR * other)
+
+    def slope(self, angle: float) -> FloatArray:
+        """Return the derivative (N, 2) of the asymmetry by the angle, Wb/rad."""
+        step = 1e-4
+        return np.asarray((self.difference(angle + step) - self.difference(angle - step)) / (2 * step))
+
+    def best_angle(self) -> float:
+        """Return the angle, rad, that leaves least: by Gauss-Newton, from the best of a coarse scan."""
+        tried = np.linspace(-_LARGEST_ANGLE, _LARGEST_ANGLE, 2 * _TRIED + 1)
+        angle = float(tried[np.argmin([np.sum(self.difference(angle) ** 2) for angle in tried])])
+        for _ in range(_STEPS):
+            slope = self.slope(angle)
+            change = -float(np.sum(slope * self.difference(angle)) / np.sum(slope**2))
+            angle = min(max(angle + change, -_LARGEST_ANGLE), _LARGEST_ANGLE)
+            if abs(change) < _SETTLED:
+                break
+        return angle
+
+
 @one_blas_thread()
 def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     """Estimate the resolver's offset from psi_d(i_d, -i_q) = psi_d(i_d, i_q), psi_q(i_d, -i_q) = -psi_q(i_d, i_q).
 
     An offset rotates currents and fluxes together, which no voltage shows. A machine whose rotor is not symmetric about
-    its d axis lacks this symmetry, and then the offset cannot be estimated.
+    its d axis lacks this symmetry, and then the offset cannot be estimated. A small skew of it looks like an offset of
+    about its size, so what is left at the best angle, if it is more than the errors of the map, is an error of the
+    offset.
 
     Parameters
     ----------
@@ -157,61 +205,24 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     name, unit = "resolver_offset", "rad"
     if not len(i_dq):
         return Calibration(name, 0.0, float("nan"), unit, False, Message("resolver_offset.one_sided"))
-    mirror = np.array([1.0, -1.0])
-    gamma, changes = fit.solution.estimate[fit.model.map], fit.assessment.changes[fit.model.map]
-
-    def sides(angle: float) -> list[BasisRows]:
-        return [fit.model.flux.rows(rotated(i_dq * sign, -angle)) for sign in (np.ones(2), mirror)]
-
-    def between(one: FloatArray, other: FloatArray, angle: float) -> FloatArray:
-        return rotated(one, angle) - mirror * rotated(other, angle)
-
-    def difference(angle: float) -> FloatArray:
-        """Return the asymmetry (N, 2) of the map rotated back by an angle."""
-        one, other = (rows.dot(gamma) for rows in sides(angle))
-        return between(one, other, angle)
-
-    def differences(angle: float) -> FloatArray:
-        """Return the same (B, N, 2) of each change of the map, by which it is uncertain."""
-        one, other = (
-            np.moveaxis((rows.sparse(len(gamma)) @ changes).reshape(len(i_dq), 2, -1), -1, 0) for rows in sides(angle)
-        )
-        return between(one, other, angle)
-
-    def form(angle: float, weights: FloatArray) -> FloatArray:
-        """Return the gradient (P,) of the sum of the differences times weights (N, 2) by the map's coefficients."""
-        one, other = (
-            rows.sparse(len(gamma)).T @ rotated(sign * weights, -angle).ravel()
-            for sign, rows in zip((np.ones(2), mirror), sides(angle), strict=True)
-        )
-        return np.asarray(one - other)
-
-    def slope_at(angle: float) -> FloatArray:
-        step = 1e-4
-        return np.asarray((difference(angle + step) - difference(angle - step)) / (2 * step))
-
-    tried = np.linspace(-_LARGEST_ANGLE, _LARGEST_ANGLE, 2 * _TRIED + 1)
-    angle = float(tried[np.argmin([np.sum(difference(angle) ** 2) for angle in tried])])
-    for _ in range(_STEPS):  # Gauss-Newton, from the best of a coarse scan
-        slope = slope_at(angle)
-        change = -float(np.sum(slope * difference(angle)) / np.sum(slope**2))
-        angle = min(max(angle + change, -_LARGEST_ANGLE), _LARGEST_ANGLE)
-        if abs(change) < _SETTLED:
-            break
-    slope = slope_at(angle)
-    sigma = float(np.linalg.norm(form(angle, slope) @ changes) / np.sum(slope**2))
-    size = float(np.abs(fit.model.flux.rows(i_dq).dot(gamma)).max())
-    left = float(np.sqrt(np.mean(difference(angle) ** 2)))
-    by_errors = float(np.sqrt(np.sum(differences(angle) ** 2) / slope.size))
-    # as much of a skew of the machine may look like an offset
-    skew = left / float(np.sqrt(np.mean(slope**2))) if left > _SIGNIFICANCE * by_errors else 0.0
+    symmetry = _Symmetry(fit, i_dq)
+    angle = symmetry.best_angle()
+    slope, errors = symmetry.slope(angle), symmetry.differences(angle)
+    sigma = float(np.linalg.norm(np.einsum("na,bna->b", slope, errors)) / np.sum(slope**2))
+    left, by_errors = (float(np.sqrt(np.sum(x**2) / slope.size)) for x in (symmetry.difference(angle), errors))
+    size = float(np.abs(fit.model.flux.rows(i_dq).dot(fit.solution.estimate[fit.model.map])).max())
+    asymmetric = left > _LARGEST_ASYMMETRY * size or abs(angle) > 0.98 * _LARGEST_ANGLE
+    skew = 0.0
+    if not asymmetric and left > _SIGNIFICANCE * by_errors:
+        skew = left / float(np.sqrt(np.mean(slope**2)))
     told = {"value": angle, "sigma": float(np.hypot(sigma, skew)), "asymmetry": left / size, "skew": skew}
-    key, applied = "resolver_offset", True
-    if told["asymmetry"] > _LARGEST_ASYMMETRY or abs(angle) > 0.98 * _LARGEST_ANGLE:
-        key, applied = "resolver_offset.asymmetric", False
+    if asymmetric:
+        said = Message("resolver_offset.asymmetric", **told)
     elif abs(angle) < _SIGNIFICANCE * skew:
-        key, applied = "resolver_offset.skew", False
-    return Calibration(name, angle, told["sigma"], unit, applied, Message(key, **told))
+        said = Message("resolver_offset.skew", **told)
+    else:
+        return Calibration(name, angle, told["sigma"], unit, True, Message("resolver_offset", **told))
+    return Calibration(name, angle, told["sigma"], unit, False, said)
 
 
 def cross_talk(calibrations: Sequence[Calibration]) -> bool:

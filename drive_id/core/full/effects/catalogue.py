@@ -13,7 +13,13 @@ from drive_id.core.full.effects.heat import (
 from drive_id.core.full.effects.iron import Coercivity, EddyCurrents, Hysteresis
 from drive_id.core.full.effects.link import DcLink, DropByLink, LinkRipple, LinkSag
 from drive_id.core.full.effects.parts import AngleOfParts, DropOfParts, UnlikeParts
-from drive_id.core.full.effects.phases import DropAsymmetry, PhaseDrop, PhaseInductance, PhaseResistance, VoltageGains
+from drive_id.core.full.effects.phases import (
+    DropAsymmetry,
+    PhaseInductance,
+    PhaseResistance,
+    UnequalDrops,
+    VoltageGains,
+)
 from drive_id.core.full.effects.resolver import Eccentricity, EccentricRotor, ResolverOrder
 from drive_id.core.full.effects.sensors import CurrentGains, CurrentOffset, CurrentRotation
 from drive_id.core.full.effects.skin import SkinEffect
@@ -50,7 +56,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         LinkSag("link_sag"),
         PhaseResistance("phase_resistance"),
         PhaseInductance("phase_inductance"),
-        PhaseDrop("phase_drop"),
+        UnequalDrops("phase_drop"),
         SkinEffect("skin_effect"),
         DropAsymmetry("drop_asymmetry"),
         VoltageGains("voltage_gains"),

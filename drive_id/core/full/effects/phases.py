@@ -53,7 +53,7 @@ class PhaseInductance(PhaseResistance):
 
 
 @dataclass(frozen=True)
-class PhaseDrop(PhaseResistance):
+class UnequalDrops(PhaseResistance):
     """Share of the drop of the phases a and b above the mean, c below it: dead times of the half-bridges differ."""
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102

@@ -70,14 +70,19 @@ class Suite:
 
     @contextmanager
     def connected(self):
-        """Give a client of the action, which is gone afterwards."""
+        """Give a client of the action, in a node of its own, both of which are gone afterwards."""
         from drive_id_msgs.action import Experiment
+        from rclpy.node import Node
 
-        client = self.kind(self.ros.node, Experiment, NAME)
+        node = Node("client", context=self.ros.node.context)
+        self.ros.executor.add_node(node)
+        client = self.kind(node, Experiment, NAME)
         try:
             yield client
         finally:
+            self.ros.forget(node)
             client.destroy()
+            node.destroy_node()
 
     def recording(self):
         return self.recordings[-1]

@@ -151,11 +151,7 @@ class Hosted:
         """End it without a word, as if its process were killed."""
         if self.alive:
             self.alive = False
-            self._ros.executor.remove_node(self.node)
-            for _ in range(2):  # the executor forgets the node, then makes the calls that were due before
-                done = self._ros.executor.create_task(lambda: None)
-                while not done.done():
-                    self._ros.executor.spin_once(timeout_sec=0.02)
+            self._ros.forget(self.node)
             self.node.destroy_node()
             self.node = None
             gc.collect()  # it refers to itself, and would stay in the graph
@@ -211,6 +207,14 @@ class RosBench:
         process = Process(module, ["--ros-args", *given], environment, log)
         self.processes.append(process)
         return process
+
+    def forget(self, node):
+        """Let the executor have nothing to do for a node any longer, so that all of it can be destroyed."""
+        self.executor.remove_node(node)
+        for _ in range(2):  # the executor forgets the node, then makes the calls that were due before
+            done = self.executor.create_task(lambda: None)
+            while not done.done():
+                self.executor.spin_once(timeout_sec=0.02)
 
     def wait(self, condition, what, timeout=DEADLINE):
         """Spin until the condition holds and return it; fail with the processes' output when it does not."""

@@ -95,20 +95,22 @@ def test_what_is_said_of_an_output_is_true_at_any_moment(kind, moment, after, ru
     assert {path.name for path in tmp_path.iterdir()} <= {"out"}  # nothing under another name
 
 
-def test_an_interrupt_in_a_callback_is_not_lost(run):
-    """From where Python raises nothing, and prints a traceback."""
+def lost_at_first():
+    """Let an interrupt come in a callback, and wait until it comes again."""
 
     class Object:
         pass
 
-    def command():
-        kept = Object()
-        callback = weakref.ref(kept, ctrl_c)
-        del kept
-        assert callback() is None
-        signal.sigtimedwait([], 60)  # until the interrupt comes again
+    kept = Object()
+    callback = weakref.ref(kept, ctrl_c)
+    del kept
+    assert callback() is None
+    signal.sigtimedwait([], 60)
 
-    assert run(command) == (130, "drive-id: interrupted; no output was left behind.\n")
+
+def test_an_interrupt_in_a_callback_is_not_lost(run):
+    """From where Python raises nothing, and prints a traceback."""
+    assert run(lost_at_first) == (130, "drive-id: interrupted; no output was left behind.\n")
 
 
 def test_an_interrupt_that_comes_again_while_it_is_found_lost_is_not_lost(run, monkeypatch):
@@ -122,18 +124,8 @@ def test_an_interrupt_that_comes_again_while_it_is_found_lost_is_not_lost(run, m
             if len(starts) == 1:
                 self.join()
 
-    class Object:
-        pass
-
-    def command():
-        kept = Object()
-        callback = weakref.ref(kept, ctrl_c)
-        del kept
-        assert callback() is None
-        signal.sigtimedwait([], 60)
-
     monkeypatch.setattr(interrupts.threading, "Timer", Quick)
-    assert run(command) == (130, "drive-id: interrupted; no output was left behind.\n")
+    assert run(lost_at_first) == (130, "drive-id: interrupted; no output was left behind.\n")
     assert len(starts) == 2
 
 

@@ -32,6 +32,8 @@ _LARGEST_ASYMMETRY = 0.01
 """Largest asymmetry of a mirror-symmetric machine at the best angle, relative to the largest flux."""
 _LEAST_MIRRORED = 0.3
 """Least range of i_q with mirror images, relative to i_max."""
+_MIRROR = np.array([1.0, -1.0])
+"""Signs of d and q in the mirror image."""
 CURRENT_ROTATION = "current_rotation"
 
 
@@ -137,9 +139,6 @@ def mirrored_points(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: 
     return points[:: max(1, len(points) // SEARCHED)]
 
 
-_MIRROR = np.array([1.0, -1.0])
-
-
 @dataclass(frozen=True, eq=False)
 class _Symmetry:
     """A fitted map and its mirror image in the d axis, at currents (N, 2), A, rotated back by an angle."""
@@ -153,17 +152,16 @@ class _Symmetry:
     def difference(self, angle: float) -> FloatArray:
         """Return the asymmetry (N, 2), Wb."""
         gamma = self.fit.solution.estimate[self.fit.model.map]
-        one, other = (rotated(rows.dot(gamma), angle) for rows in self._rows(angle))
-        return np.asarray(one - _MIRROR * other)
+        return self._between(angle, *(rows.dot(gamma) for rows in self._rows(angle)))
 
     def differences(self, angle: float) -> FloatArray:
         """Return the same (B, N, 2) of each change of the map, by which it is uncertain."""
         changes = self.fit.assessment.changes[self.fit.model.map]
-        one, other = (
-            rotated(np.moveaxis((rows.sparse(len(changes)) @ changes).reshape(len(self.i_dq), 2, -1), -1, 0), angle)
-            for rows in self._rows(angle)
-        )
-        return np.asarray(one - _MIRROR * other)
+        fluxes = ((rows.sparse(len(changes)) @ changes).reshape(len(self.i_dq), 2, -1) for rows in self._rows(angle))
+        return self._between(angle, *(np.moveaxis(flux, -1, 0) for flux in fluxes))
+
+    def _between(self, angle: float, one: FloatArray, other: FloatArray) -> FloatArray:
+        return np.asarray(rotated(one, angle) - _MIRROR * rotated(other, angle))
 
     def slope(self, angle: float) -> FloatArray:
         """Return the derivative (N, 2) of the asymmetry by the angle, Wb/rad."""
@@ -216,13 +214,12 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     if not asymmetric and left > _SIGNIFICANCE * by_errors:
         skew = left / float(np.sqrt(np.mean(slope**2)))
     told = {"value": angle, "sigma": float(np.hypot(sigma, skew)), "asymmetry": left / size, "skew": skew}
+    key = "resolver_offset"
     if asymmetric:
-        said = Message("resolver_offset.asymmetric", **told)
+        key = "resolver_offset.asymmetric"
     elif abs(angle) < _SIGNIFICANCE * skew:
-        said = Message("resolver_offset.skew", **told)
-    else:
-        return Calibration(name, angle, told["sigma"], unit, True, Message("resolver_offset", **told))
-    return Calibration(name, angle, told["sigma"], unit, False, said)
+        key = "resolver_offset.skew"
+    return Calibration(name, angle, told["sigma"], unit, key == name, Message(key, **told))
 
 
 def cross_talk(calibrations: Sequence[Calibration]) -> bool:
@@ -269,14 +266,14 @@ def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArra
     values, of_currents = _applied(found), max(_sensor_faults(found))
     model, estimate = fit.model, fit.solution.estimate
     of_voltage, of_current, of_angle = np.zeros((3, model.size))
-    rows = model.flux.rows(i_dq)
-
-    def slopes() -> FloatArray:
-        return jacobian(model.flux, estimate[model.map], i_dq)
 
     def by_flux(change: FloatArray) -> FloatArray:
         """Return the change of the map's coefficients that comes closest to one (N, 2) of the flux."""
-        return np.asarray(lsqr(rows.sparse(model.flux.parameters), change.ravel())[0])
+        return np.asarray(lsqr(model.flux.rows(i_dq).sparse(model.flux.parameters), change.ravel())[0])
+
+    def by_current(change: FloatArray) -> FloatArray:
+        """Return the change (N, 2) of the flux by one (N, 2) of the currents, A."""
+        return np.asarray(np.einsum("nab,nb->na", jacobian(model.flux, estimate[model.map], i_dq), change))
 
     if VOLTAGE_MISMATCH in values:
         of_voltage[:] = values[VOLTAGE_MISMATCH] * estimate
@@ -284,10 +281,10 @@ def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArra
     if of_currents > faulty or cross_talk(found):
         # the same voltages at other currents: R i and f(i) are stretched along i
         of_current[RESISTANCE] = of_currents * fit.solution.resistance
-        of_current[model.map] = by_flux(of_currents * np.einsum("nab,nb->na", slopes(), i_dq))
+        of_current[model.map] = by_flux(by_current(of_currents * i_dq))
     if skew := next((_skew(entry) for entry in found if entry.name == "resolver_offset"), 0.0):
         quarter = np.array([[0.0, 1.0], [-1.0, 0.0]])  # currents and fluxes turn together
-        turned = rows.dot(estimate[model.map]) @ quarter - np.einsum("nab,nb->na", slopes(), i_dq @ quarter)
+        turned = model.flux.rows(i_dq).dot(estimate[model.map]) @ quarter - by_current(i_dq @ quarter)
         of_angle[model.map] = by_flux(skew * turned)
     return np.stack([change for change in (of_voltage, of_current, of_angle) if change.any()] or [of_voltage], axis=1)
 

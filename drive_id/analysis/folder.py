@@ -68,20 +68,37 @@ class Figure(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SpeedRange:
-    """Capability of the drive over speed at one DC-link voltage."""
+    """Capability of the drive over speed at one DC-link voltage.
 
-    u_dc: float  # V
+    Parameters
+    ----------
+    u_dc : float
+        V.
+    limits : DriveLimits
+    corner : float
+        Speed up to which the largest torque needs no field weakening, rad/s.
+    motoring, braking : Operation
+        (S,) points of the largest and of the most negative torque over the speed; NaN where no operation is possible.
+    sigma_torque : (S,) float
+        Standard error of the largest torque, Nm.
+    requested : (N,) float
+        Torques of the table of references, Nm.
+    references : Operation
+        (R, N) points of least current over speed and requested torque; the nearest torque that can be reached, NaN
+        where no operation is possible.
+    errors : OperationErrors
+        Of the references.
+    """
+
+    u_dc: float
     limits: DriveLimits
-    corner: float  # speed up to which the largest torque needs no field weakening, rad/s
+    corner: float
     motoring: Operation
-    """(S,) points of the largest torque over the speed; NaN where no operation is possible."""
-    braking: Operation  # (S,), likewise, of the most negative torque
-    sigma_torque: FloatArray  # (S,), standard error of the largest torque, Nm
-    requested: FloatArray  # (N,), torques of the table of references, Nm
+    braking: Operation
+    sigma_torque: FloatArray
+    requested: FloatArray
     references: Operation
-    """(R, N) points of least current over speed and requested torque; the nearest torque that can be reached, NaN
-    where no operation is possible."""
-    errors: OperationErrors  # of the references
+    errors: OperationErrors
 
 
 _NAMED = {

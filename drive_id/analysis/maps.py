@@ -13,23 +13,44 @@ from drive_id.types import BoolArray, FloatArray
 
 @dataclass(frozen=True, eq=False)
 class CurrentMaps:
-    """Figures on a grid of currents; where not ``inside``, they rest on the extrapolated map."""
+    """Figures on a grid of currents; where not ``inside``, they rest on the extrapolated map.
 
-    i_d: FloatArray  # (D,), A
-    i_q: FloatArray  # (Q,), A
-    inside: BoolArray  # (D, Q)
-    psi_d: FloatArray  # (D, Q), Wb
-    psi_q: FloatArray  # (D, Q), Wb
-    torque: FloatArray  # (D, Q), Nm
-    sigma_torque: FloatArray  # (D, Q), Nm; like all standard errors NaN where not inside, or not known
-    ripple: FloatArray  # (D, Q), peak-to-peak torque over the rotor position without cogging, Nm
-    inductances: FloatArray  # (D, Q, 2, 2), incremental, [[L_dd, L_dq], [L_qd, L_qq]], H
-    sigma_inductances: FloatArray  # (D, Q, 2, 2), H
-    apparent_d: FloatArray  # (D, Q), H, see :meth:`~drive_id.analysis.machine.MachineModel.apparent_inductances`
-    apparent_q: FloatArray  # (D, Q), H
-    kp_d: FloatArray  # (D, Q), proportional gains of the current controllers, V/A
-    kp_q: FloatArray  # (D, Q), V/A
-    ki: float  # integral gain of both, V/(A s)
+    Parameters
+    ----------
+    i_d, i_q : (D,), (Q,) float
+        A.
+    inside : (D, Q) bool
+    psi_d, psi_q : (D, Q) float
+        Wb.
+    torque, sigma_torque : (D, Q) float
+        Nm; standard errors are NaN where not inside, or not known.
+    ripple : (D, Q) float
+        Peak-to-peak torque over the rotor position without cogging, Nm.
+    inductances, sigma_inductances : (D, Q, 2, 2) float
+        Incremental, [[L_dd, L_dq], [L_qd, L_qq]], H.
+    apparent_d, apparent_q : (D, Q) float
+        H, see :meth:`~drive_id.analysis.machine.MachineModel.apparent_inductances`.
+    kp_d, kp_q : (D, Q) float
+        Proportional gains of the current controllers, V/A.
+    ki : float
+        Integral gain of both, V/(A s).
+    """
+
+    i_d: FloatArray
+    i_q: FloatArray
+    inside: BoolArray
+    psi_d: FloatArray
+    psi_q: FloatArray
+    torque: FloatArray
+    sigma_torque: FloatArray
+    ripple: FloatArray
+    inductances: FloatArray
+    sigma_inductances: FloatArray
+    apparent_d: FloatArray
+    apparent_q: FloatArray
+    kp_d: FloatArray
+    kp_q: FloatArray
+    ki: float
 
     @classmethod
     def of(cls, model: MachineModel, i_d: FloatArray, i_q: FloatArray, bandwidth: float) -> CurrentMaps:

@@ -22,17 +22,34 @@ class Operation:
     With iron loss the stator current is the map's current plus that of the loss; otherwise both are the same. The power
     balance ``power = mechanical power + copper + iron + inverter`` holds exactly. Voltages neglect a resistance that is
     not known; losses and power of the winding are NaN then.
+
+    Parameters
+    ----------
+    i_dq : (..., 2) float
+        Current of the map, A, from which flux and torque follow.
+    stator : (..., 2) float
+        Current of the stator, A.
+    u_dq : (..., 2) float
+        Voltage that the inverter is commanded, its own drop included, V.
+    speed : (...) float
+        Mechanical, rad/s.
+    torque : (...) float
+        Nm.
+    copper, iron, inverter : (...) float
+        Losses, W.
+    power : (...) float
+        Electrical power 1.5 u i at the commanded voltage, W.
     """
 
-    i_dq: FloatArray  # (..., 2), current of the map, A, from which flux and torque follow
-    stator: FloatArray  # (..., 2), current of the stator, A
-    u_dq: FloatArray  # (..., 2), voltage that the inverter is commanded, its own drop included, V
-    speed: FloatArray  # (...), mechanical, rad/s
-    torque: FloatArray  # (...), Nm
-    copper: FloatArray  # (...), loss, W
-    iron: FloatArray  # (...), loss, W
-    inverter: FloatArray  # (...), loss, W
-    power: FloatArray  # (...), electrical power 1.5 u i at the commanded voltage, W
+    i_dq: FloatArray
+    stator: FloatArray
+    u_dq: FloatArray
+    speed: FloatArray
+    torque: FloatArray
+    copper: FloatArray
+    iron: FloatArray
+    inverter: FloatArray
+    power: FloatArray
 
     @classmethod
     def at(cls, model: MachineModel, i_dq: FloatArray, speed: FloatArray) -> Operation:

@@ -25,17 +25,33 @@ _ANGLE_STEP = np.deg2rad(1.0)  # for differences of the torque along a circle
 
 @dataclass(frozen=True, eq=False)
 class CurrentLocus:
-    """Points (N,) on circles of constant current amplitude."""
+    """Points (N,) on circles of constant current amplitude.
 
-    current: FloatArray  # (N,), amplitude, A, increasing
-    i_d: FloatArray  # (N,), A
-    i_q: FloatArray  # (N,), A
-    psi_d: FloatArray  # (N,), Wb
-    psi_q: FloatArray  # (N,), Wb
-    torque: FloatArray  # (N,), Nm
-    sigma_torque: FloatArray  # (N,), Nm; NaN outside the data, or where it is not known
-    sigma_angle: FloatArray  # (N,), of the angle atan2(i_q, i_d), rad; NaN likewise
-    inside: BoolArray  # (N,), whether data support the point; elsewhere it rests on the continuation of the map
+    Parameters
+    ----------
+    current : (N,) float
+        Amplitude, A, increasing.
+    i_d, i_q : (N,) float
+        A.
+    psi_d, psi_q : (N,) float
+        Wb.
+    torque, sigma_torque : (N,) float
+        Nm; the standard error is NaN outside the data, or where it is not known.
+    sigma_angle : (N,) float
+        Of the angle atan2(i_q, i_d), rad; NaN likewise.
+    inside : (N,) bool
+        Whether data support the point; elsewhere it rests on the continuation of the map.
+    """
+
+    current: FloatArray
+    i_d: FloatArray
+    i_q: FloatArray
+    psi_d: FloatArray
+    psi_q: FloatArray
+    torque: FloatArray
+    sigma_torque: FloatArray
+    sigma_angle: FloatArray
+    inside: BoolArray
 
     def __len__(self) -> int:
         return len(self.current)

@@ -47,12 +47,24 @@ _ANGLES_PER_PERIOD = 12
 
 @dataclass(frozen=True, eq=False)
 class InverterCurve:
-    """The identified voltage drop of one inverter phase."""
+    """The identified voltage drop of one inverter phase.
 
-    current: FloatArray  # (C,), A, increasing
-    voltage: FloatArray  # (C,), V, positive for positive current
-    sigma: FloatArray | None = None  # (C,), standard error of ``voltage``, V; method ``full``
-    phases: FloatArray | None = None  # (C, 3), the drop of each phase, V, when each was given a curve of its own
+    Parameters
+    ----------
+    current : (C,) float
+        A, increasing.
+    voltage : (C,) float
+        V, positive for positive current.
+    sigma : (C,) float or None
+        Standard error of ``voltage``, V; method ``full``.
+    phases : (C, 3) float or None
+        The drop of each phase, V, when each was given a curve of its own.
+    """
+
+    current: FloatArray
+    voltage: FloatArray
+    sigma: FloatArray | None = None
+    phases: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -47,27 +47,44 @@ class TorqueFit:
 
     The model is ``T = g 3/2 p (psi_d i_q - psi_q i_d) - T_f sign(w) - b w - T_c(theta) + T_0`` with the mechanical
     speed w; b and T_0 only where the speeds in the recording tell them from T_f.
+
+    Parameters
+    ----------
+    gain, sigma_gain : float
+        g and its standard error. A common gain error of voltages or currents, which the electrical signals do not show,
+        makes it differ from 1.
+    friction, sigma_friction : float
+        T_f and its standard error, Nm. Where ``viscous_friction`` is None, it is all friction at the recorded speed;
+        where ``offset`` is None, it includes the offset of the torque sensor.
+    viscous_friction, sigma_viscous_friction : float or None
+        b and its standard error, Nm s/rad.
+    offset, sigma_offset : float or None
+        T_0 of the torque sensor and its standard error, Nm.
+    cogging : tuple of Cogging
+        The significant harmonics of T_c.
+    rms_map : float
+        Difference, rms, between the torque of the map and the measured torque corrected for friction, cogging and
+        offset, Nm.
+    rms_residual : float
+        The same with the gain, Nm.
+    pole_pairs : int
+    samples : int
+        In the fit.
     """
 
     gain: float
-    """g: a common gain error of voltages or currents, which the electrical signals do not show,
-    makes it differ from 1."""
-    sigma_gain: float  # its standard error
+    sigma_gain: float
     friction: float
-    """T_f, Nm. Where ``viscous_friction`` is None, it is all friction at the recorded speed;
-    where ``offset`` is None, it includes the offset of the torque sensor."""
-    sigma_friction: float  # its standard error, Nm
-    viscous_friction: float | None  # b, Nm s/rad
-    sigma_viscous_friction: float | None  # its standard error, Nm s/rad
-    offset: float | None  # T_0 of the torque sensor, Nm
-    sigma_offset: float | None  # its standard error, Nm
-    cogging: tuple[Cogging, ...]  # the significant harmonics of T_c
+    sigma_friction: float
+    viscous_friction: float | None
+    sigma_viscous_friction: float | None
+    offset: float | None
+    sigma_offset: float | None
+    cogging: tuple[Cogging, ...]
     rms_map: float
-    """Difference, rms, between the torque of the map and the measured torque corrected for friction, cogging and
-    offset, Nm."""
-    rms_residual: float  # the same with the gain, Nm
+    rms_residual: float
     pole_pairs: int
-    samples: int  # in the fit
+    samples: int
 
 
 @dataclass(frozen=True)
@@ -77,24 +94,44 @@ class Mechanics:
     The model is ``g T = (J + dJ) dw/dt + b w + T_f sign(w) + T_0 + T_c(theta)`` with the mechanical speed w and the
     known inertia dJ of discs. A term that the motion cannot tell is None. Voltages and currents alone leave the common
     gain g open, by which all values scale: 1 is assumed unless an inertia is known.
+
+    Parameters
+    ----------
+    inertia, sigma_inertia : float
+        J without discs and its standard error, kg m^2; where it was given, that value and 0.
+    friction, sigma_friction : float or None
+        T_f, N m.
+    viscous_friction, sigma_viscous_friction : float or None
+        b, with the drag of the iron loss, N m s/rad.
+    load, sigma_load : float or None
+        T_0, against positive rotation, N m.
+    cogging : tuple of Cogging
+        The significant harmonics of T_c.
+    gain, sigma_gain : float or None
+        g: true torque over that of the map; None where no inertia is known.
+    explained : float
+        Share of the energy of the torque that the motion explains, 0 to 1.
+    seconds : float
+        Of data in the regression.
+    cogging_visible : float or None
+        Amplitude below which a harmonic would not have been reported, N m; None where none was looked for, and in
+        results of earlier versions.
     """
 
-    inertia: float  # J without discs, kg m^2
-    sigma_inertia: float  # its standard error, kg m^2; 0 where the inertia was given
-    friction: float | None  # T_f, N m
-    sigma_friction: float | None  # its standard error, N m
-    viscous_friction: float | None  # b, with the drag of the iron loss, N m s/rad
-    sigma_viscous_friction: float | None  # its standard error, N m s/rad
-    load: float | None  # T_0, against positive rotation, N m
-    sigma_load: float | None  # its standard error, N m
-    cogging: tuple[Cogging, ...]  # the significant harmonics of T_c
-    gain: float | None  # g: true torque over that of the map; None where no inertia is known
-    sigma_gain: float | None  # its standard error
-    explained: float  # share of the energy of the torque that the motion explains, 0 to 1
-    seconds: float  # of data in the regression
+    inertia: float
+    sigma_inertia: float
+    friction: float | None
+    sigma_friction: float | None
+    viscous_friction: float | None
+    sigma_viscous_friction: float | None
+    load: float | None
+    sigma_load: float | None
+    cogging: tuple[Cogging, ...]
+    gain: float | None
+    sigma_gain: float | None
+    explained: float
+    seconds: float
     cogging_visible: float | None = None
-    """Amplitude below which a harmonic would not have been reported, N m; None where none was looked for, and in
-    results of earlier versions."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -251,7 +251,7 @@ class Factor:
     def inverse(self) -> FloatArray:
         """Return the inverse (M, M) of the matrix."""
         split = len(self.first)
-        whole = np.empty((len(self.scale),) * 2, order="F")
+        whole = np.zeros((len(self.scale),) * 2, order="F")  # not empty: what is above the diagonal is divided, too
         whole[:split, :split], whole[split:, :split], whole[split:, split:] = self.first, self.across.T, self.last
         out, _ = linalg.lapack.dpotri(whole, lower=True, overwrite_c=True)
         out /= self.scale[:, None]

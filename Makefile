@@ -40,7 +40,7 @@ BASES := --build-base build/$(DISTRO) --install-base install/$(DISTRO)
 # What a test is long for (pyproject.toml), and which of them the second command of the README leaves out.
 LONG := accuracy or browser or process or slow
 # Tests that need no fit, node, process or browser.
-QUICK := $(addprefix test/core/,accumulation experiment maps numerics paper signals test_frames.py) test/files test/web \
+QUICK := $(addprefix test/core/,accumulation experiment maps numerics paper signals test_frames.py) test/files test/reporting/web \
          $(patsubst %,test/test_%.py,changelog config imports message_texts messages quantity settings suite types)
 PYTEST := DRIVE_ID_REQUIRE_ROS=1 PYTHONDONTWRITEBYTECODE= python -m pytest
 

@@ -21,6 +21,9 @@ from drive_id.types import FloatArray, IntArray, Samples
 Flux = Callable[[FloatArray, FloatArray], FloatArray]
 """Returns psi_dq (W, 2), Wb, at currents i_dq (W, 2), A, and electrical angles (W,), rad."""
 
+_SPAN = np.deg2rad(5.0)
+"""Electrical angle of a window, rad: averaging attenuates an order h to ``sinc(h span / 2 pi)``, 0.99 at the 6th and
+0.90 at the 18th."""
 _LONGEST = 0.01  # s; of a window, where the rotor hardly turns
 
 
@@ -86,14 +89,11 @@ class PlaneBins(NamedTuple):
     """Voltage that was commanded, rms over all windows, d and q alike, V: what the residual is a share of."""
 
 
-def residual_voltage(
-    samples: Samples, flux: Flux, resistance: float, drop: tuple[FloatArray, FloatArray], span: float = np.deg2rad(5.0)
-) -> Residual:
+def residual_voltage(samples: Samples, flux: Flux, resistance: float, drop: tuple[FloatArray, FloatArray]) -> Residual:
     """Evaluate the voltage balance over adjacent windows of a few degrees.
 
     The commanded voltage is held over each sample; phase currents are linear between samples; the drop is integrated
-    by Simpson's rule. A window averages over ``span``: an order h is attenuated to ``sinc(h span / 2 pi)``, 0.99 at
-    the 6th and 0.90 at the 18th.
+    by Simpson's rule. A window has at least one sample and lasts 10 ms at most.
 
     Parameters
     ----------
@@ -105,8 +105,6 @@ def residual_voltage(
         Ohm.
     drop : (C,) float, (C,) or (C, 3) float
         Phase currents, A, increasing, and the inverter's drop there, V, of all phases or of each.
-    span : float
-        Electrical angle of a window, rad; a window has at least one sample and lasts 10 ms at most.
 
     Returns
     -------
@@ -128,7 +126,7 @@ def residual_voltage(
     parts = []
     for run in samples.runs():
         turn = float(np.abs(samples.speed[run]).mean()) * period
-        length = max(1, int(min(span / turn if turn else np.inf, _LONGEST / period)))
+        length = max(1, int(min(_SPAN / turn if turn else np.inf, _LONGEST / period)))
         ends = np.arange(run.start, run.stop, length)
         angle = samples.angle[ends]
         i_dq = frames.as_pairs(i_s[ends] * np.exp(-1j * angle))

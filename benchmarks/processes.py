@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from measuring import HERE, Cost, best_of, process
-from recordings import recording
+from recordings import real_shaped, recording
 from reporting import Row, Section, faster, seconds, size, smaller
 
 SCRIPT = Path(sys.executable).with_name("drive-id")
@@ -109,6 +109,19 @@ def growth(folder: Path, durations: list[float], repeats: int) -> Section:
     text = "Time and peak memory of `drive-id fit` over the length of the recording; "
     text += f"baseline: {durations[:2][-1]:g} s."
     return Section("Growth", text, tuple(rows))
+
+
+def real_machines(folder: Path, repeats: int) -> Section:
+    """Compare machines that bend as real ones do with the smooth one of the other rows, at 10 s."""
+    bags = {"": recording(folder, 10.0)} | real_shaped(folder)
+    costs = best_of({name: partial(drive_id_fit, bag) for name, bag in bags.items()}, repeats)
+    base, rows = costs.pop(""), list[Row]()
+    for name, cost in costs.items():
+        both = [f"{seconds(each.cpu)}, {size(each.memory)}" for each in (base, cost)]
+        ratio = f"{cost.elapsed / base.elapsed:.1f} ×, {cost.memory / base.memory:.1f} × memory"
+        rows.append(Row(name, both[0], both[1], ratio, f"{cost.cpu / base.cpu:.1f} ×", "≤ 10 s, ≤ 1 GB"))
+    text = "CPU time and peak memory of `drive-id fit`, 10 s; baseline: the smooth machine of the other rows."
+    return Section("Real-shaped machines", text, tuple(rows))
 
 
 def start_up(folder: Path, repeats: int) -> Section:

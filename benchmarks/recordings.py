@@ -6,6 +6,8 @@ import struct
 from functools import cache
 from pathlib import Path
 
+from population_machines import CoEnergy, Harmonic, Machine
+
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
@@ -41,6 +43,27 @@ def recording(folder: Path, seconds: float) -> Path:
     else:
         _repeat(recording(folder, PART), path, round(seconds / PART))
     return path
+
+
+def real_shaped(folder: Path) -> dict[str, Path]:
+    """Write bags of 10 s of machines that bend as real ones do, and return them by what they are."""
+    waves = tuple(Harmonic(order, 0.0, (0.04 / order, 0.06 / order), (0.02, 0.02)) for order in (6, 12, 18, 24))
+    shapes = {
+        "a PM-SyRM of fine saturation, harmonics of orders 6 to 24": CoEnergy(
+            (0.25, 0.1), (0.15, 0.15), (0.1, 1.5), 0.4, 4.0, harmonics=waves
+        ),
+        "an IPM with a sharp bridge, harmonics of orders 6 and 12": CoEnergy(
+            (0.5, 0.5), (0.13, 0.13), (0.2, 0.7), 0.6, 3.0, bridge=(0.1, 0.02, 0.1), harmonics=waves[:2]
+        ),
+    }
+    out = {}
+    for number, (name, shape) in enumerate(shapes.items()):
+        out[name] = path = folder / f"real_shaped_{number}"
+        if not path.exists():
+            drive = Machine(shape, 20.0, 0.7, 0.3, 2, 560.0).to_map(name)
+            settings = SimulationSettings(inverter="dead_time", current_noise=1e-3)
+            write_recording(path, run_experiment(drive, settings, None, 10.0).samples, block_size=BLOCK)
+    return out
 
 
 def copies(folder: Path, seconds: float, count: int) -> list[Path]:

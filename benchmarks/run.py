@@ -35,6 +35,7 @@ def parts(folder: Path, options: argparse.Namespace) -> dict[str, Callable[[], S
         "process": lambda: processes.against_plain(folder, repeats),
         "cold": lambda: processes.cold(folder, repeats),
         "growth": lambda: processes.growth(folder, lengths, repeats),
+        "machines": lambda: processes.real_machines(folder, repeats),
         "start": lambda: processes.start_up(folder, repeats),
         "live": lambda: streams.section(folder, repeats, 1.0 if options.quick else 10.0),
         "safety": lambda: safety.section(repeats),
@@ -53,7 +54,7 @@ def main() -> None:
     """Measure, print and write."""
     parser = argparse.ArgumentParser(description="Measure drive_id against stated baselines.")
     parser.add_argument(
-        "--only", default="", help="names of parts, with commas: process,cold,growth,start,live,safety,fleet"
+        "--only", default="", help="names of parts, with commas: process,cold,growth,machines,start,live,safety,fleet"
     )
     parser.add_argument(
         "--hour", nargs="?", type=float, const=HOUR, metavar="SECONDS",

@@ -64,7 +64,7 @@ def test_two_workers_make_it_once(tmp_path, monkeypatch):
 def test_an_unmarked_test_that_takes_long_fails(tmp_path):
     (tmp_path / "conftest.py").write_text(
         f"import sys\nsys.path.insert(0, {str(ROOT / 'test' / 'support')!r})\nimport processor_time\n"
-        "processor_time.LIMIT, processor_time._PACE = 0.02, 1e9\n"
+        "processor_time.LIMIT, processor_time._PACE, processor_time._CROWDED = 0.02, 1e9, 1e9\n"
         "def pytest_configure(config):\n    config.pluginmanager.register(processor_time.ProcessorTime())\n"
     )
     (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = slow\n")

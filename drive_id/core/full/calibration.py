@@ -246,24 +246,26 @@ def _sensor_faults(calibrations: Sequence[Calibration]) -> tuple[float, float]:
     return abs(_of_axes(values, "current_gain_mismatch")), abs(values.get(CURRENT_ROTATION, 0.0))
 
 
+def common_gain(calibrations: Sequence[Calibration]) -> float:
+    """Return the standard error of the common gain of the currents that unequal gains suggest."""
+    return max(_sensor_faults(calibrations))
+
+
 @one_blas_thread()
-def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray, faulty: float) -> FloatArray:
+def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray) -> FloatArray:
     """Return the changes (size, K) of the estimate by faults of the sensors that show in nothing but their company.
 
     Those are gain errors common to the phases, as large as their mismatch, and an offset of the angle as large as a
     skew of the machine makes it look. A phase with the gain 1 + e has a mismatch of abs(e) / 3 and adds e / 3 to the
-    mean gain. Only the former can be seen, so where a sensor is faulty, the latter is as uncertain as the former is
-    large. Cross-talk between sensors turns the currents as well.
+    mean gain. Only the former can be seen, so the latter is as uncertain as the former is large: of independent errors,
+    both have the same variance. Cross-talk between sensors turns the currents as well.
 
     Parameters
     ----------
     i_dq : (N, 2) float
         Currents with data, A.
-    faulty : float
-        Mismatch of the current gains, or rotation of the currents, from which on; smaller ones count where there is
-        cross-talk.
     """
-    values, of_currents = _applied(found), max(_sensor_faults(found))
+    values, of_currents = _applied(found), common_gain(found)
     model, estimate = fit.model, fit.solution.estimate
     of_voltage, of_current, of_angle = np.zeros((3, model.size))
 
@@ -278,7 +280,7 @@ def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArra
     if VOLTAGE_MISMATCH in values:
         of_voltage[:] = values[VOLTAGE_MISMATCH] * estimate
         of_voltage[model.effects] = 0.0
-    if of_currents > faulty or cross_talk(found):
+    if of_currents:
         # the same voltages at other currents: R i and f(i) are stretched along i
         of_current[RESISTANCE] = of_currents * fit.solution.resistance
         of_current[model.map] = by_flux(by_current(of_currents * i_dq))

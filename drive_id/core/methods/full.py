@@ -96,7 +96,7 @@ class FullMethod:
             *_on_map(evidence, fit, psi, sigma, inside),
             *_on_calibration(evidence, fit, found),
         )
-        earlier, scaled = EarlierFit.of(fit), calibration.by_hidden_faults(fit, found, grid[inside], _LARGE_MISMATCH)
+        earlier, scaled = EarlierFit.of(fit), calibration.by_hidden_faults(fit, found, grid[inside])
         if scaled.any():
             changes = np.column_stack([scaled, fit.assessment.changes])
             fit = replace(fit, assessment=replace(fit.assessment, changes=changes))
@@ -397,7 +397,8 @@ def _statements(
     by = ".locked" if locked else ".speeds" if several else ".reciprocity" if fit.spec.reciprocal else ""
     yield Message(f"separation{by}", share=relative)
     yield Message("linear_drop")
-    yield Message("common_gain")
+    gain = calibration.common_gain(calibrations)
+    yield Message("common_gain.currents", share=gain) if gain else Message("common_gain")
     if fit.spec.lag:
         yield Message("compensation_lags")
     if fit.crossings > 1:

@@ -333,6 +333,17 @@ def test_gain_mismatch_is_traced_back(samples):
     assert np.all(errors(faulty) < 2e-3)
 
 
+def test_what_one_faulty_sensor_adds_to_all_currents_is_in_the_errors(samples):
+    """1 % of one phase is a third of that of all currents, which no log shows."""
+    found = identify([replace(samples, i_abc=samples.i_abc * (1.01, 1.0, 1.0))], FULL)
+    said = next(said for said in found.statements if said.code == "common_gain")
+    assert said.values["share"] == pytest.approx(0.01 / 3, rel=0.1)
+    flux_map = found.flux_map
+    off = np.stack([flux_map.psi_d, flux_map.psi_q], axis=-1) - reciprocal_flux(flux_map.grid())
+    score = np.abs(off / np.stack([flux_map.sigma_d, flux_map.sigma_q], axis=-1))[flux_map.inside]
+    assert np.mean(score < 2.0) > 0.9
+
+
 def test_each_phase_may_have_its_own_curve():
     settings = replace(FULL, per_phase_inverter=True)
     found = identify([record(drop=drop, duration=4.0, noise=0.3)], settings)

@@ -48,12 +48,11 @@ trap end EXIT
 trap 'exit 130' INT TERM
 
 patient=(lead_time:=1.5 watch_timeout:=30.0 clock_offset:=30.0) # for busy computers; keep the defaults on a bench
-sparse=block_size:=200 # 20 ms in a message: all nodes take a third less of the processor than with 10 ms
 if [ "$free_shaft" = --free-shaft ]; then
     echo "A simulated drive without load machine is identified: a first start finds the angle of its rotor, 2 rad off, then it"
     echo "swings its own shaft up to 1340 rpm. This takes about two minutes. Logs: $output/log."
     start bench_simulator machine:=spm free_shaft:=true current_noise:=0.001 resolver_offset:=-2.0 speed_observer:=100.0 \
-        "$sparse" "truth_file:='$output/truth.npz'"
+        "truth_file:='$output/truth.npz'"
     start recorder "data_directory:='$output'"
     # Nobody asks for a map of the live samples: no fits in the background, which the swing would share the cores with.
     start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=20.0 pole_pairs:=3 picture:=true \
@@ -64,7 +63,7 @@ if [ "$free_shaft" = --free-shaft ]; then
 else
     echo "A simulated drive is identified: an interior-magnet machine of 300 A with rotor harmonics and an uncompensated"
     echo "inverter, at 500 rpm. This takes about a minute, at the first start 90 s. Logs: $output/log."
-    start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "$sparse" "truth_file:='$output/truth.npz'"
+    start bench_simulator machine:=ipm "speeds:=[500.0]" current_noise:=0.001 "truth_file:='$output/truth.npz'"
     start recorder "data_directory:='$output'"
     start identification "data_directory:='$output'" "output_directory:='$output'" i_max:=300.0 pole_pairs:=4 picture:=true
     start trajectory_publisher i_max:=300.0 "duration:=$seconds" "${patient[@]}"

@@ -26,7 +26,7 @@ NODES = "drive_id.nodes."
 I_MAX = 20.0
 OFFSET = -2.0
 SPEED_MAX = 420.0  # electrical, rad/s: 1340 rpm
-DRIVE = {"machine": "spm", "free_shaft": True, "current_noise": 0.001, "resolver_offset": OFFSET, "block_size": 200}
+DRIVE = {"machine": "spm", "free_shaft": True, "current_noise": 0.001, "resolver_offset": OFFSET}
 PUBLISHER = {
     "i_max": I_MAX, "shaft_speed_max": SPEED_MAX, "duration": 6.0, "lead_time": 1.0, "watch_timeout": 30.0,
     "clock_offset": 30.0,
@@ -129,7 +129,7 @@ def test_a_swing_beyond_its_band_trips_and_ends_at_zero_current(ros):
     ros.node.create_subscription(PhaseCurrents, "phase_currents", lambda m: currents.append(np.abs(m.a).max()), 1000)
     too_heavy = {"trajectory": "free_shaft", "shaft_acceleration": 800.0, "slew_rate": 1e5}
     ros.start(NODES + "trajectory_publisher", parameters=PUBLISHER | too_heavy)
-    ros.start(NODES + "bench_simulator", parameters=DRIVE | {"resolver_offset": 0.0, "block_size": 100})
+    ros.start(NODES + "bench_simulator", parameters=DRIVE | {"resolver_offset": 0.0})
 
     def started():
         return ros.call(Trigger, "/trajectory_publisher/start").success

@@ -32,6 +32,8 @@ _LARGEST_ASYMMETRY = 0.01
 """Largest asymmetry of a mirror-symmetric machine at the best angle, relative to the largest flux."""
 _LEAST_MIRRORED = 0.3
 """Least range of i_q with mirror images, relative to i_max."""
+_LEAST_LOST = 1e-3
+"""Share of the voltages that a filter takes from which on it is warned of: what moves the flux by 0.1 %."""
 _MIRROR = np.array([1.0, -1.0])
 """Signs of d and q in the mirror image."""
 CURRENT_ROTATION = "current_rotation"
@@ -94,8 +96,17 @@ def _entries(
     return entries
 
 
-def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
-    """Report the delay of the voltages used by the fit."""
+def calibrate_delay(fit: FullFit, wanted: bool, turn: float) -> Calibration:
+    """Report the delay of the voltages used by the fit.
+
+    Voltages that are early by no multiple of half a sample were filtered before they were recorded, as measured ones
+    are. A low-pass filter that delays by t takes ``(omega t)^2 / 2`` of them, too.
+
+    Parameters
+    ----------
+    turn : float
+        Electrical angle per sample, rms, rad.
+    """
     found = fit.selection.search.found
     name, used, delay, sigma = "voltage_delay", fit.spec.delay, found.delay.value, found.delay.sigma
     if not wanted:
@@ -111,10 +122,13 @@ def calibrate_delay(fit: FullFit, wanted: bool) -> Calibration:
         return entry(delay, "voltage_delay.none")
     if abs(used) >= MOST_DELAY:
         return entry(used, "voltage_delay.limit", doubtful=True)
-    every = Delay(used, sigma).decimation
-    if every:
+    estimated = Delay(used, sigma)
+    if every := estimated.decimation:
         return entry(used, "voltage_delay.decimated", doubtful=True, every=max(2, every))
-    return entry(used, "voltage_delay")
+    lost = 0.5 * (turn * used) ** 2
+    filtered = used < 0 and abs(used - estimated.nearest) > estimated.tolerance and lost > _LEAST_LOST
+    more = {"early": -delay, "lost": lost} if filtered else {}
+    return entry(used, "voltage_delay.filtered" if filtered else "voltage_delay", doubtful=filtered, **more)
 
 
 def mirrored_points(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: float) -> FloatArray:
@@ -255,10 +269,11 @@ def common_gain(calibrations: Sequence[Calibration]) -> float:
 def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray) -> FloatArray:
     """Return the changes (size, K) of the estimate by faults of the sensors that show in nothing but their company.
 
-    Those are gain errors common to the phases, as large as their mismatch, and an offset of the angle as large as a
-    skew of the machine makes it look. A phase with the gain 1 + e has a mismatch of abs(e) / 3 and adds e / 3 to the
-    mean gain. Only the former can be seen, so the latter is as uncertain as the former is large: of independent errors,
-    both have the same variance. Cross-talk between sensors turns the currents as well.
+    Those are gain errors common to the phases, as large as their mismatch or as what a filter takes of the voltages,
+    and an offset of the angle as large as a skew of the machine makes it look. A phase with the gain 1 + e has a
+    mismatch of abs(e) / 3 and adds e / 3 to the mean gain. Only the former can be seen, so the latter is as uncertain
+    as the former is large: of independent errors, both have the same variance. Cross-talk between sensors turns the
+    currents as well.
 
     Parameters
     ----------
@@ -277,8 +292,9 @@ def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArra
         """Return the change (N, 2) of the flux by one (N, 2) of the currents, A."""
         return np.asarray(np.einsum("nab,nb->na", jacobian(model.flux, estimate[model.map], i_dq), change))
 
-    if VOLTAGE_MISMATCH in values:
-        of_voltage[:] = values[VOLTAGE_MISMATCH] * estimate
+    lost = next((float(entry.message.values.get("lost", 0.0)) for entry in found if entry.name == "voltage_delay"), 0.0)
+    if VOLTAGE_MISMATCH in values or lost:
+        of_voltage[:] = np.hypot(values.get(VOLTAGE_MISMATCH, 0.0), lost) * estimate
         of_voltage[model.effects] = 0.0
     if of_currents:
         # the same voltages at other currents: R i and f(i) are stretched along i

@@ -231,7 +231,7 @@ def _magnet_coefficient(fit: FullFit) -> tuple[float, float] | None:
 
 def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: BoolArray) -> list[Calibration]:
     settings = evidence.settings
-    found = [calibration.calibrate_delay(fit, settings.calibrate_delay)]
+    found = [calibration.calibrate_delay(fit, settings.calibrate_delay, evidence.turn)]
     found += effect_entries(fit)
     disc = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
     if settings.calibrate_angle:

@@ -54,6 +54,13 @@ def errors(identification, flux=reciprocal_flux):
     return np.sqrt(np.mean((identification.flux_map.continued(i_dq) - true) ** 2, axis=0)) / np.abs(true).max(axis=0)
 
 
+def covered(identification):
+    """Return the share of the map's values that are within two standard errors of the truth."""
+    flux_map = identification.flux_map
+    off = np.stack([flux_map.psi_d, flux_map.psi_q], axis=-1) - reciprocal_flux(flux_map.grid())
+    return np.mean(np.abs(off / np.stack([flux_map.sigma_d, flux_map.sigma_q], axis=-1))[flux_map.inside] < 2.0)
+
+
 def fitted(samples, settings=FULL):
     evidence = gather([samples], settings)
     return fit_full(evidence.windows.finished(), settings, evidence.turn, evidence.noise_variance)
@@ -201,6 +208,20 @@ def test_a_decimated_log_is_told_where_the_controller_answers_at_once():
     assert {warning.code for warning in found.report.warnings} & {"decimated", "voltage_delay", "current_latency"}
 
 
+@pytest.mark.accuracy
+def test_measured_voltages_behind_a_filter_are_told_and_in_the_errors(samples):
+    """A filter with the pole 0.8 is 4 samples late at low frequency."""
+    held, u_abc = samples.u_abc[0], samples.u_abc.copy()
+    for row in u_abc:
+        held = row[:] = 0.8 * held + 0.2 * row
+    found = identify([replace(samples, u_abc=u_abc)], FULL)
+    told = next(entry for entry in found.calibrations if entry.name == "voltage_delay")
+    assert told.message.kind == "warning"
+    assert told.message in found.report.warnings
+    assert told.value == pytest.approx(-4.0, rel=0.2)
+    assert covered(found) > 0.9
+
+
 def test_an_early_voltage_follows_from_what_was_held_before_an_end():
     shares = delay_shares(-0.25)
     assert shares[-1] == -0.25
@@ -338,10 +359,7 @@ def test_what_one_faulty_sensor_adds_to_all_currents_is_in_the_errors(samples):
     found = identify([replace(samples, i_abc=samples.i_abc * (1.01, 1.0, 1.0))], FULL)
     said = next(said for said in found.statements if said.code == "common_gain")
     assert said.values["share"] == pytest.approx(0.01 / 3, rel=0.1)
-    flux_map = found.flux_map
-    off = np.stack([flux_map.psi_d, flux_map.psi_q], axis=-1) - reciprocal_flux(flux_map.grid())
-    score = np.abs(off / np.stack([flux_map.sigma_d, flux_map.sigma_q], axis=-1))[flux_map.inside]
-    assert np.mean(score < 2.0) > 0.9
+    assert covered(found) > 0.9
 
 
 def test_each_phase_may_have_its_own_curve():

@@ -22,6 +22,7 @@ from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
 from drive_id.core.numerics.scans import mark_rests
 from drive_id.core.paper.regression import RegressionSums
+from drive_id.core.signals.current_noise import POWER, noise_variance
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray, Samples
 
@@ -89,7 +90,7 @@ class Evidence:
         self.idle = 0
         self._quiet = 0  # samples since the current was last away from zero
         self._time = 0.0
-        self._difference_square = 0.0  # of fourth differences of i_dq, per component
+        self._difference_square = 0.0  # of fourth differences of the noise of i_dq, per component
         self._differences = 0
         self._turn_square = 0.0
         self._angle_square = 0.0  # of the error of interpolated angles
@@ -143,8 +144,9 @@ class Evidence:
         self._turn_square += float(np.sum((samples.speed[new] * samples.sample_period) ** 2))
         self._angle_square += (len(samples) - continues) * samples.angle_error**2
         for run in samples.runs():
-            self._difference_square += float(np.sum(np.diff(i_dq[run], 4, axis=0) ** 2))
-            self._differences += 2 * max(run.stop - run.start - 4, 0)
+            count = 2 * max(run.stop - run.start - 4, 0)
+            self._difference_square += count * POWER * noise_variance(i_dq[run], samples.angle[run])
+            self._differences += count
 
     def next_recording(self) -> None:
         """Begin another recording: adding its samples then equals merging it.
@@ -285,12 +287,8 @@ class Evidence:
 
     @property
     def noise_variance(self) -> float:
-        """Variance of white noise in i_d and i_q each, A^2.
-
-        The squared fourth differences of white noise are 70 times its variance; a ripple of few samples per period
-        gives little.
-        """
-        return self._difference_square / max(self._differences, 1) / 70
+        """Variance of white noise in i_d and i_q each, A^2."""
+        return self._difference_square / max(self._differences, 1) / POWER
 
     @property
     def angle_variance(self) -> float:

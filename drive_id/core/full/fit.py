@@ -34,7 +34,7 @@ _ALIKE = 1e-3
 """Of the largest, below which a variance of the unknowns of an effect, relative to their own, is not known."""
 _MOST_BY_ONE = 0.5  # share of the map's variance from which on an open effect is its cause
 _BY_SHAPE = 2.0
-"""Standard errors, for white residuals, by which R must change with the shape of the curve to be uncertain by that.
+"""Standard errors by which R must change with the shape of the curve to be uncertain by that.
 
 With only what exceeds them, 91 % of 79 random drives had R within 1.96 standard errors, with all of it 95 %.
 """
@@ -232,7 +232,7 @@ def fit_full(
         by_rivals = _with_rivals(solver, uncertain, selection)
         undecided = _with_undecided(solver, uncertain, selection)
         own = np.column_stack([batches, *biases, misfit.changes])
-        among = np.column_stack([undecided, *by_rivals.values(), _among_curves(solver, solution, crossed)])
+        among = np.column_stack([undecided, *by_rivals.values(), _among_curves(solver, solution, batches, crossed)])
         changes = np.hstack([own, among])
         weak = _weakest(sums.model, solution, own)  # another model moves an effect: it does not show that there is none
         if weak is None:
@@ -337,19 +337,20 @@ def _with_rivals(solver: Solver, solution: FullSolution, selection: Selection) -
     return out
 
 
-def _among_curves(solver: Solver, solution: FullSolution, crossed: bool) -> FloatArray:
+def _among_curves(solver: Solver, solution: FullSolution, batches: FloatArray, crossed: bool) -> FloatArray:
     """Return the change (size,) of the estimate with another curve of the inverter that moves R most, if beyond noise.
 
     Selecting a curve does not show that it is true, and R takes the difference. From one shape to the next, R may stand
     still by accident: all of them count. Where zero crossings disturb, the drop is no curve: they count also within
-    noise.
+    noise. That is as much larger than of white residuals as the changes (size, B) by batches are.
     """
     spec, out = solution.spec, np.zeros_like(solution.estimate)
+    grown = max(1.0, sigma(batches)[RESISTANCE] / max(np.sqrt(solution.variance_of_resistance), TINY))
     for wide in set(range(WIDE + 1)) - {spec.wide}:
         other = solver.solve(replace(spec, wide=wide))
         change = other.estimate - solution.estimate
         noise = np.sqrt(abs(other.variance_of_resistance - solution.variance_of_resistance))
-        beyond = spec.wide or crossed or abs(change[RESISTANCE]) > _BY_SHAPE * noise
+        beyond = spec.wide or crossed or abs(change[RESISTANCE]) > _BY_SHAPE * grown * noise
         if beyond and abs(change[RESISTANCE]) > abs(out[RESISTANCE]):
             out = change
     return out

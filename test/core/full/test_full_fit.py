@@ -209,16 +209,17 @@ def test_a_decimated_log_is_told_where_the_controller_answers_at_once():
 
 
 @pytest.mark.accuracy
-def test_measured_voltages_behind_a_filter_are_told_and_in_the_errors(samples):
-    """A filter with the pole 0.8 is 4 samples late at low frequency."""
+def test_measured_voltages_behind_a_filter_are_told_and_in_the_errors():
+    """A filter with the pole 0.56 is 1.27 samples late at low frequency."""
+    samples = record(drop=even_drop, duration=4.0, noise=0.3, speed=628.0)
     held, u_abc = samples.u_abc[0], samples.u_abc.copy()
     for row in u_abc:
-        held = row[:] = 0.8 * held + 0.2 * row
+        held = row[:] = 0.56 * held + 0.44 * row
     found = identify([replace(samples, u_abc=u_abc)], FULL)
     told = next(entry for entry in found.calibrations if entry.name == "voltage_delay")
     assert told.message.kind == "warning"
     assert told.message in found.report.warnings
-    assert told.value == pytest.approx(-4.0, rel=0.2)
+    assert told.value == pytest.approx(-0.56 / 0.44, rel=0.2)
     assert covered(found) > 0.9
 
 
@@ -360,6 +361,19 @@ def test_what_one_faulty_sensor_adds_to_all_currents_is_in_the_errors(samples):
     said = next(said for said in found.statements if said.code == "common_gain")
     assert said.values["share"] == pytest.approx(0.01 / 3, rel=0.1)
     assert covered(found) > 0.9
+
+
+def test_another_curve_of_the_drop_counts_beyond_the_errors_by_batches(samples, monkeypatch):
+    fit = fitted(samples)
+    solver = fit.selection.solver
+    solution = solver.solve(replace(fit.spec, wide=0))
+    monkeypatch.setattr(full_fit, "_BY_SHAPE", 0.0)  # any change counts
+    batches = np.zeros((len(solution.estimate), 1))
+    assert full_fit._among_curves(solver, solution, batches, False)[RESISTANCE] != 0
+    monkeypatch.setattr(full_fit, "_BY_SHAPE", 2.0)
+    batches[RESISTANCE] = fit.solution.resistance
+    assert not full_fit._among_curves(solver, solution, batches, False).any()
+    assert full_fit._among_curves(solver, solution, batches, True)[RESISTANCE] != 0  # the drop is no curve
 
 
 def test_each_phase_may_have_its_own_curve():

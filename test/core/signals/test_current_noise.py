@@ -1,0 +1,33 @@
+"""White noise of the currents is told from all that rotor and inverter do, at any speed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drive_id.core.signals.current_noise import noise_variance
+
+SIGMA = 0.2  # A
+
+
+def recorded(turn, ripple, count=100_000):
+    """Return currents, A, that wander over a disc of 100 A with waves of the rotor position, and its angle, rad."""
+    rng, angle, place = np.random.default_rng(1), turn * np.arange(count), np.arange(count) / count
+    current = 100 * np.sin(2 * np.pi * 7 * place) + 100j * np.sin(2 * np.pi * 8 * place)
+    waves = sum(np.exp(1j * order * angle) / abs(order) for order in (-18, -12, -6, 6, 12, 18))
+    current = current + ripple * current / 100 * waves + 0.5 * np.exp(-1j * angle) + 0.3 * np.exp(-2j * angle)
+    current = current + SIGMA * (rng.standard_normal(count) + 1j * rng.standard_normal(count))
+    return np.stack([current.real, current.imag], axis=-1), np.angle(np.exp(1j * angle))
+
+
+@pytest.mark.parametrize("turn", [0.005, 0.02, 0.06, 0.2, 0.35, 0.5, -0.5])
+@pytest.mark.parametrize("ripple", [0.0, 5.0])
+def test_it_is_found_beside_ripple(turn, ripple):
+    assert np.sqrt(noise_variance(*recorded(turn, ripple))) == pytest.approx(SIGMA, rel=0.1)
+
+
+@pytest.mark.parametrize("count", [0, 4, 5, 63, 200])
+def test_few_samples_tell_what_they_can(count):
+    i_dq, angle = recorded(0.01, 0.0)
+    found = noise_variance(i_dq[:count], angle[:count])
+    assert found == 0.0 if count < 5 else 0.2 < np.sqrt(found) / SIGMA < 2.0

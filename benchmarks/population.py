@@ -86,7 +86,7 @@ CAUSES = {
 """By cause: codes of warnings, effects that they name, and names of corrections."""
 MECHANICS = {"J": "inertia", "B": "viscous_friction", "T_c": "friction"}
 """Mechanics of a free shaft: their symbols and names."""
-_WEAK = {"resistance_vague", "sigma_large", "too_short", "wide_curve", "little_coverage"}
+_WEAK = {"resistance_vague", "sigma_large", "too_short", "wide_curve", "little_coverage", "fast_rotation"}
 """Warnings that say what the data leave open, true of any drive."""
 
 

@@ -333,6 +333,12 @@ def test_voltages_late_throughout_one_recording_are_no_slip(samples):
     assert fitted(replace(samples, u_abc=np.roll(samples.u_abc, 1, axis=0))).assessment.jump is None
 
 
+def test_one_speed_of_few_samples_per_turn_is_warned_of():
+    one, other = (record(duration=1.0, noise=0.3, speed=speed) for speed in (5000.0, -4500.0))
+    warned = [{said.code for said in identify(parts, FULL).report.warnings} for parts in ([one], [one, other])]
+    assert ["fast_rotation" in codes for codes in warned] == [True, False]
+
+
 def test_an_offset_of_the_angle_is_found_by_symmetry(samples):
     turned = identify([replace(samples, angle=samples.angle + 0.03)], FULL)
     found = {entry.name: entry for entry in turned.calibrations}["resolver_offset"]

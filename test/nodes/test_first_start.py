@@ -36,7 +36,7 @@ def test_a_fresh_publisher_runs_at_its_first_start(ros, statuses):
     publisher = ros.start(
         "drive_id.nodes.trajectory_publisher",
         files=[CONFIG / "trajectory_publisher.yaml"],
-        parameters={"lead_time": 3.0, "watch_timeout": 10.0, "clock_offset": 10.0, "follow_band": 1000.0},
+        parameters={"lead_time": 3.0, "watch_timeout": 10.0, "clock_offset": 10.0, "follow_band": 200.0},
     )
     ros.wait(lambda: "Ready" in publisher.output, "the publisher says that it is ready")
 

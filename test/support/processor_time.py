@@ -73,10 +73,10 @@ class ProcessorTime:
             own = spent() - item.stash[_BEGUN] - shared
             mark = next((name for name in LONG if item.get_closest_marker(name)), "unmarked")
             report.user_properties += [("processor time", (mark, own, shared))]
-            crowded = os.getloadavg()[0] > _CROWDED * (os.cpu_count() or 1)
-            if report.passed and mark == "unmarked" and own > _SLACK * LIMIT and not crowded:
+            if report.passed and mark == "unmarked" and own > _SLACK * LIMIT:
                 limit = _SLACK * LIMIT * max(1.0, _work() / _PACE)
-                if own > limit:
+                crowded = os.getloadavg()[0] > _CROWDED * (os.cpu_count() or 1)
+                if own > limit and not crowded:
                     report.outcome = "failed"
                     report.longrepr = (
                         f"{item.nodeid} took {own:.1f} s of processor time, {limit:.1f} s are for one without a mark: "

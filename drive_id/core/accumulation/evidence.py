@@ -90,7 +90,8 @@ class Evidence:
         self.idle = 0
         self._quiet = 0  # samples since the current was last away from zero
         self._time = 0.0
-        self._difference_square = 0.0  # of fourth differences of the noise of i_dq, per component
+        # of fourth differences of the noise of i_dq, per component: what information files have always held
+        self._difference_square = 0.0
         self._differences = 0
         self._turn_square = 0.0
         self._angle_square = 0.0  # of the error of interpolated angles

@@ -8,7 +8,7 @@ from drive_id.types import FloatArray
 
 _SLOW = 0.03
 """Electrical angle per sample, rad, up to which waves of the rotor position are gone from fourth differences: of order
-18, 0.6 % of the amplitude are left."""
+18, 0.7 % of the amplitude are left."""
 _LENGTH, _EVERY = 64, 1024
 """Samples over which waves of the rotor position are fitted, and one such stretch in so many samples: at 29 degrees per
 sample and 0.163 % noise, 64 samples leave 0.23 %, 256 leave 0.49 %, and without a fit it is 1.8 %."""

@@ -303,7 +303,12 @@ class Diagnosis:
 
     def wait(self, condition, what):
         """Wait until status and values meet a condition."""
-        self.ros.wait(lambda: self.status is not None and condition(self.status, self.values), what)
+        self.what = what
+        self.ros.wait(lambda: self.status is not None and condition(self.status, self.values), self)
+
+    def __str__(self):
+        """Tell what was awaited and what the node says instead, when a wait fails."""
+        return f"{self.what}; {self.name} says {self.status and self.status.message!r}: {self.values}"
 
 
 def test_only_currents_so_far(ros, player, bag):

@@ -217,7 +217,10 @@ class RosBench:
                 self.executor.spin_once(timeout_sec=0.02)
 
     def wait(self, condition, what, timeout=DEADLINE):
-        """Spin until the condition holds and return it; fail with the processes' output when it does not."""
+        """Spin until the condition holds and return it; fail with the processes' output when it does not.
+
+        ``what`` is awaited, as a text or as something whose text is made at the failure.
+        """
         end = time.monotonic() + timeout
         while not (value := condition()):
             if any(process.has_failed for process in self.processes):

@@ -22,7 +22,7 @@ from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
 from drive_id.core.numerics.scans import mark_rests
 from drive_id.core.paper.regression import RegressionSums
-from drive_id.core.signals.current_noise import POWER, noise_variance
+from drive_id.core.signals.current_noise import POWER, angle_variance, noise_variance
 from drive_id.errors import ConfigurationError
 from drive_id.types import BoolArray, FloatArray, Samples
 
@@ -39,7 +39,7 @@ _SHAPING = (
     "harmonic_orders", "grid_points",
 )  # fmt: skip  # settings that shape the sums; all others are of the solution
 _COUNTS = ("samples", "gaps", "idle", "_differences")
-_SUMS = ("_time", "_difference_square", "_turn_square", "_angle_square")
+_SUMS = ("_time", "_difference_square", "_turn_square", "_interpolation_square", "_angle_square", "_turned_square")
 
 
 def check_live(method: str) -> None:
@@ -94,7 +94,9 @@ class Evidence:
         self._difference_square = 0.0
         self._differences = 0
         self._turn_square = 0.0
-        self._angle_square = 0.0  # of the error of interpolated angles
+        self._interpolation_square = 0.0  # of the error of interpolated angles
+        # of white noise in the angle, and of what it makes of the currents in the rotor frame, per difference above
+        self._angle_square = self._turned_square = 0.0
 
     @classmethod
     def within(cls, settings: FitSettings, i_max: float) -> Evidence:
@@ -143,10 +145,13 @@ class Evidence:
         self.samples += len(samples) - continues
         self._time += (len(samples) - continues) * samples.sample_period
         self._turn_square += float(np.sum((samples.speed[new] * samples.sample_period) ** 2))
-        self._angle_square += (len(samples) - continues) * samples.angle_error**2
+        self._interpolation_square += (len(samples) - continues) * samples.angle_error**2
         for run in samples.runs():
             count = 2 * max(run.stop - run.start - 4, 0)
             self._difference_square += count * POWER * noise_variance(i_dq[run], samples.angle[run])
+            of_angle = count * angle_variance(samples.angle[run])
+            self._angle_square += of_angle
+            self._turned_square += of_angle * float(np.mean(np.square(i_dq[run])))
             self._differences += count
 
     def next_recording(self) -> None:
@@ -292,9 +297,19 @@ class Evidence:
         return self._difference_square / max(self._differences, 1) / POWER
 
     @property
+    def current_variance(self) -> float:
+        """Variance of white noise in i_d and i_q each without that of the angle, A^2."""
+        return max(self.noise_variance - self._turned_square / max(self._differences, 1), 0.0)
+
+    @property
     def angle_variance(self) -> float:
+        """Variance of white noise in the angle, rad^2."""
+        return self._angle_square / max(self._differences, 1)
+
+    @property
+    def interpolation_variance(self) -> float:
         """Mean square error of interpolated angles, rad^2; 0 for angles recorded with each sample."""
-        return self._angle_square / max(self.samples, 1)
+        return self._interpolation_square / max(self.samples, 1)
 
     @property
     def noise_share(self) -> float:

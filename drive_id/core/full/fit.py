@@ -199,6 +199,7 @@ def fit_full(
     earlier: EarlierFit | None = None,
     *,
     angle_variance: float = 0.0,
+    interpolation_variance: float = 0.0,
 ) -> FullFit:
     """Select a model and fit it.
 
@@ -213,14 +214,16 @@ def fit_full(
     earlier : EarlierFit, optional
         Fit of most of these samples, whose selection is reused, see :func:`fit_again`.
     angle_variance : float
+        Of white noise in the angle, rad^2.
+    interpolation_variance : float
         Mean square error of interpolated angles, rad^2.
     """
-    noise = CurrentNoise.met(variance, sums.kept(), angle_variance)
+    noise = CurrentNoise.met(variance, sums.kept(), angle_variance, interpolation_variance)
     if earlier is not None and not settings.passive_maps:
         return fit_again(sums, earlier, noise)
     selection = select(sums, settings, turn, noise)
     sums = selection.search.sums
-    noise = CurrentNoise.met(variance, sums.kept(), angle_variance)
+    noise = noise.among(sums.kept())
     kept, solver, uncertain = sums.kept(), selection.solver, selection.solution
     crossed = bool(np.isfinite(selection.crossings))
     while True:

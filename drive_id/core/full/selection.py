@@ -112,7 +112,7 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         _offset_explains(sums, solver, start, noise) or _free_maps_explain(sums, solver, start, settings, turn, noise)
     ):
         sums, crossings = between
-        noise = CurrentNoise.met(noise.variance, sums.kept(), noise.angle_variance)
+        noise = noise.among(sums.kept())
         solver = Solver.over(sums)
         start = _aligned(sums, solver, settings, turn)
     start = _undelayed(solver, start, settings)

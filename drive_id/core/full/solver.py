@@ -4,8 +4,10 @@ Noise n of variance sigma^2 in the currents enters the regressors and flattens t
 residuals ``(dB gamma) n`` and adds ``N = sigma^2 sum dB'dB`` to the map's cross products. Adding N once more gives the
 estimate at twice the noise; the difference between the two estimates is the bias by the noise. This is
 simulation-extrapolation (Cook and Stefanski 1994) with the expectation in place of the simulation. The variance is
-estimated from fourth differences of the currents, because the residuals contain more than this noise. Noise within the
-integrals of the current and of the inverter's shapes also attenuates R and the curve, but by a negligible amount.
+estimated from fourth differences of the currents, because the residuals contain more than this noise. Noise delta of
+the angle does the same by ``(J B gamma - dB gamma J i) delta``: it turns the flux forward and the currents back. Noise
+within the integrals of the current and of the inverter's shapes also attenuates R and the curve, but by a negligible
+amount.
 """
 
 from __future__ import annotations
@@ -54,6 +56,8 @@ _NOISE_STEP = 2.0
 _BY_NOISE, _MOST_BY_NOISE = 0.5, 0.98
 """Share of noise in the products of a direction from which on its error is widened, and the largest one that counts:
 the variance of the noise is known to some percent."""
+_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
+"""By 90 degrees."""
 _POWERS, _FOUND = 20, 0.6
 """Steps of a power iteration for the largest share, and what they find of it at least."""
 _THINNED = 2000
@@ -420,11 +424,12 @@ def predictable(errors: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, eq=False)
 class CurrentNoise:
-    """White noise of the measured currents and its effect on the regression."""
+    """White noise of the measured currents and angle and its effect on the regression."""
 
     variance: float  # of i_d and i_q each, A^2
     windows: Windows  # a subset, evenly over time, whose ends give the currents
-    angle_variance: float = 0.0  # mean square error of an interpolated angle, rad^2
+    angle_variance: float = 0.0  # of white noise in the angle, rad^2
+    interpolation_variance: float = 0.0  # mean square error of an interpolated angle, rad^2
 
     @cached_property
     def period(self) -> float:
@@ -440,7 +445,8 @@ class CurrentNoise:
     def at_most(self, solver: Solver, solution: FullSolution) -> CurrentNoise:
         """Return the noise, reduced to what the residuals of a solution allow."""
         expected = self.explained(solver.model, solution)
-        return replace(self, variance=self.variance * min(1.0, solution.residual_rms**2 / max(expected, TINY)))
+        share = min(1.0, solution.residual_rms**2 / max(expected, TINY))
+        return replace(self, variance=self.variance * share, angle_variance=self.angle_variance * share)
 
     def explained(self, model: FullModel, solution: FullSolution) -> float:
         """Return the mean squared residual that it causes through both ends of windows, (Vs)^2."""
@@ -448,11 +454,17 @@ class CurrentNoise:
         return float(squares.sum() / (2 * self.windows.weights.sum()))
 
     def at_ends(self, model: FullModel, estimate: FloatArray, windows: Windows) -> FloatArray:
-        """Return the weighted squared residuals (N,) that it causes through the inductances at both ends, (Vs)^2."""
-        inductances = jacobian(model.flux, estimate[model.map], windows.i_dq.reshape(-1, 2))
-        return np.asarray(
-            windows.weights * self.variance * np.square(inductances).reshape(len(windows), -1).sum(axis=1)
-        )
+        """Return the weighted squared residuals (N,) that it causes through the map at both ends, (Vs)^2.
+
+        An angle that is wrong by delta turns the flux by delta and the currents of the map by -delta.
+        """
+        i_dq, gamma = windows.i_dq.reshape(-1, 2), estimate[model.map]
+        inductances = jacobian(model.flux, gamma, i_dq)
+        squares = self.variance * np.square(inductances).reshape(len(windows), -1).sum(axis=1)
+        if self.angle_variance:
+            turned = model.flux.rows(i_dq).dot(gamma) @ _TURN.T - (inductances @ (i_dq @ _TURN.T)[..., None])[..., 0]
+            squares += self.angle_variance * np.square(turned).reshape(len(windows), -1).sum(axis=1)
+        return np.asarray(windows.weights * squares)
 
     def expected(self, model: FullModel, estimate: FloatArray, windows: Windows) -> FloatArray:
         """Return the weighted squared residuals (N,) that it causes, (Vs)^2.
@@ -468,9 +480,19 @@ class CurrentNoise:
         return np.asarray(self.at_ends(model, estimate, windows) + windows.weights * self.variance * through_drop)
 
     @classmethod
-    def met(cls, variance: float, kept: Sequence[Windows], angle_variance: float = 0.0) -> CurrentNoise:
+    def met(
+        cls,
+        variance: float,
+        kept: Sequence[Windows],
+        angle_variance: float = 0.0,
+        interpolation_variance: float = 0.0,
+    ) -> CurrentNoise:
         """Thin out the windows to some 2000: enough for a mean."""
-        return cls(variance, Windows.joined(list(kept)).thinned(_THINNED), angle_variance)
+        return cls(variance, Windows.joined(list(kept)).thinned(_THINNED), angle_variance, interpolation_variance)
+
+    def among(self, kept: Sequence[Windows]) -> CurrentNoise:
+        """Return the same noise, met by other windows."""
+        return CurrentNoise.met(self.variance, kept, self.angle_variance, self.interpolation_variance)
 
 
 def noise_products(solver: Solver, solution: FullSolution, noise: CurrentNoise, squares: float) -> sparse.csr_array:
@@ -484,12 +506,19 @@ def noise_products(solver: Solver, solution: FullSolution, noise: CurrentNoise, 
         Upper bound of the sum of squared residuals that noise at the ends causes, (Vs)^2.
     """
     model, windows, weights = solver.model, noise.windows, noise.windows.weights
-    slopes = [rows.sparse(model.flux.parameters) for rows in model.flux.slope_rows(windows.i_dq[:, 0])]
-    products = sum(one.T @ sparse.diags_array(np.repeat(weights, 2)) @ one for one in slopes)
+    i_dq = windows.i_dq[:, 0]
+    slopes = [rows.sparse(model.flux.parameters) for rows in model.flux.slope_rows(i_dq)]
+    moved = [(noise.variance, one) for one in slopes]
+    if noise.angle_variance:
+        turns = sparse.csr_array(sparse.kron(sparse.eye_array(len(i_dq)), _TURN))
+        turned = turns @ model.flux.rows(i_dq).sparse(model.flux.parameters)
+        for one, way in zip(slopes, (i_dq @ _TURN.T).T, strict=True):
+            turned -= sparse.diags_array(np.repeat(way, 2)) @ one
+        moved.append((noise.angle_variance, turned))
+    products = sum(variance * (one.T @ sparse.diags_array(np.repeat(weights, 2)) @ one) for variance, one in moved)
     gamma = solution.estimate[model.map]
     shown = max(float(gamma @ (products @ gamma)), TINY)
-    rows = float(solver.counts.sum())
-    ends = products * min(rows * noise.variance / weights.sum(), max(squares, 0.0) / shown)
+    ends = products * min(float(solver.counts.sum()) / weights.sum(), max(squares, 0.0) / shown)
     in_map = sparse.eye_array(model.flux.parameters, model.size, k=model.map.start)
     return sparse.csr_array(in_map.T @ ends @ in_map)
 

@@ -82,8 +82,10 @@ class FullMethod:
             raise DataError(Message("few_windows", windows=information.windows))
         if locked:
             information = _at_one_position(information)
-        noise, of_angle = evidence.noise_variance, evidence.angle_variance
-        fit = fit_full(information, evidence.settings, evidence.turn, noise, earlier, angle_variance=of_angle)
+        fit = fit_full(
+            information, evidence.settings, evidence.turn, evidence.current_variance, earlier,
+            angle_variance=evidence.angle_variance, interpolation_variance=evidence.interpolation_variance,
+        )  # fmt: skip
         if (jump := fit.assessment.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()

@@ -1,4 +1,4 @@
-"""Variance of the white noise of measured currents, beside what rotor and inverter make them do."""
+"""Variances of the white noise of measured currents and angle, beside what rotor and inverter make them do."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ _FAULTS = (-2, -1, 0)
 """Orders by unequal gains and offsets of the sensors, and of the reference."""
 POWER = 70.0
 """Squared fourth differences of white noise over its variance."""
+_ANGLE_ORDER, _ANGLE_POWER = 8, 12870.0
+"""Order of the differences of the angle, and their square over the variance of white noise: an error of the resolver of
+1 degree in orders 1 and 2 of one pole pair leaves 0.006 degrees at 29 degrees per sample; fourth ones left 0.1."""
 
 
 def noise_variance(i_dq: FloatArray, angle: FloatArray) -> float:
@@ -52,3 +55,22 @@ def noise_variance(i_dq: FloatArray, angle: FloatArray) -> float:
     orders = np.array([*_WAVES, *_FAULTS, *_WAVES])
     taken = np.sum((2 * np.sin(orders * turn / 2)) ** 8, axis=1)  # by the fit of each, of white noise
     return float(np.median(squares / (POWER * _LENGTH - taken))) / 2
+
+
+def angle_variance(angle: FloatArray) -> float:
+    """Return the variance of white noise in the angle, rad^2; 0 for fewer than nine samples.
+
+    The median over stretches counts: a glitch is no noise.
+
+    Parameters
+    ----------
+    angle : (N,) float
+        Electrical angle without a gap, rad.
+    """
+    if len(angle) <= _ANGLE_ORDER:
+        return 0.0
+    squares = np.square(np.diff(np.unwrap(angle), _ANGLE_ORDER)) / _ANGLE_POWER
+    count = len(squares) // _LENGTH
+    if not count:
+        return float(np.mean(squares))
+    return float(np.median(squares[: count * _LENGTH].reshape(count, _LENGTH).mean(axis=1)))

@@ -116,8 +116,8 @@ def test_errors_of_interpolated_angles_are_averaged_over_recordings(recordings):
     first, second = replace(recordings[0], angle_error=3e-3), recordings[1]
     expected = 9e-6 * len(first) / (len(first) + len(second))
     both = evidence(first).merged(evidence(second))
-    assert both.angle_variance == pytest.approx(expected)
-    assert evidence(first, second).angle_variance == pytest.approx(expected)
+    assert both.interpolation_variance == pytest.approx(expected)
+    assert evidence(first, second).interpolation_variance == pytest.approx(expected)
     assert Samples.joined([first, replace(second, stamp=second.stamp + 10**12)]).angle_error ** 2 == pytest.approx(
         expected
     )

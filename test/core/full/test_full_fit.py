@@ -22,7 +22,7 @@ from drive_id.core.full.linearized import Taken
 from drive_id.core.full.model import RESISTANCE, ModelSpec, delay_shares
 from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
 from drive_id.core.full.standard_errors import changes_by_batch, residual_statistics
-from drive_id.core.full.windows import SHIFTS, kept_of
+from drive_id.core.full.windows import SHIFTS, Windows, kept_of
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import Samples
@@ -88,27 +88,45 @@ def test_it_finds_the_truth_and_says_how_well(result):
 
 
 @pytest.mark.accuracy
-def test_what_noise_takes_from_the_map_is_given_back():
-    """Against the fit to the same currents without noise, in the mean over other noise."""
+@pytest.mark.parametrize(("of_current", "of_angle"), [(3.0, 0.0), (0.0, 0.01)])
+def test_what_noise_takes_from_the_map_is_given_back(of_current, of_angle):
+    """Against the fit to the same currents and angle without noise, in the mean over other noise."""
     clean = record(drop=even_drop, duration=4.0)
     choice = ModelSpec(reciprocal=True, orders=(), penalty=1e-4)
     i_dq = 290 * np.random.default_rng(0).uniform(-0.7, 0.7, (300, 2))
 
-    def with_and_without(noise):
-        evidence = gather([replace(clean, i_abc=clean.i_abc + noise)], FULL)
+    def with_and_without(size, seed=0):
+        rng = np.random.default_rng(seed)
+        i_abc = clean.i_abc + size * of_current * rng.standard_normal(clean.i_abc.shape)
+        angle = clean.angle + size * of_angle * rng.standard_normal(len(clean))
+        evidence = gather([replace(clean, i_abc=i_abc, angle=angle)], FULL)
         information = evidence.windows.finished()
         solver = Solver.over(information)
         solution = solver.solve(choice)
-        met = CurrentNoise.met(evidence.noise_variance, information.kept())
+        met = CurrentNoise.met(evidence.current_variance, information.kept(), evidence.angle_variance)
         whole, _ = correct_attenuation(solver, solution, met)
         rows, columns = information.model.flux.rows(i_dq), information.model.map
         return np.array([rows.dot(each.estimate[columns]) for each in (solution, whole)])
 
-    noise = [3.0 * np.random.default_rng(seed).standard_normal(clean.i_abc.shape) for seed in range(8)]
-    diluted, whole = np.mean([with_and_without(each) for each in noise], axis=0) - with_and_without(0.0)[0]
+    diluted, whole = np.mean([with_and_without(1.0, seed) for seed in range(8)], axis=0) - with_and_without(0.0)[0]
     foreseen = diluted - whole
     assert 0.7 < np.sum(diluted * foreseen) / np.sum(foreseen**2) < 2.0
     assert np.linalg.norm(whole) < 0.8 * np.linalg.norm(diluted)
+
+
+def test_noise_of_the_angle_explains_what_it_does_to_windows(samples):
+    fit = fitted(samples, replace(FULL, maps="reciprocal"))
+    windows, estimate = Windows.joined(list(fit.selection.search.sums.kept())).thinned(500), fit.solution.estimate
+    usual = fit.model.residuals(windows, estimate)
+    squares = np.zeros(len(windows))
+    for end in (0, 1):
+        moved = replace(windows, angle=windows.angle.copy(), i_dq=windows.i_dq.copy())
+        moved.angle[:, end] += 1e-4
+        moved.i_dq[:, end] = (windows.i_dq[:, end] @ [1.0, 1j] * np.exp(-1e-4j)).view(np.float64).reshape(-1, 2)
+        squares += np.square(fit.model.residuals(moved, estimate) - usual).sum(axis=1)
+    noise = CurrentNoise(0.0, windows, angle_variance=1e-8)
+    expected = windows.weights * squares
+    np.testing.assert_allclose(noise.at_ends(fit.model, estimate, windows), expected, rtol=0.01)
 
 
 def test_what_only_noise_moves_is_not_known():

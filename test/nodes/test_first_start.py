@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from live_drive import LIGHT
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 
@@ -20,7 +21,7 @@ def statuses(ros):
         found.update({status.name: {value.key: value.value for value in status.values} for status in message.status})
 
     ros.node.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
-    ros.host("drive_id.nodes.bench_simulator", files=[CONFIG / "bench_simulator.yaml"])
+    ros.host("drive_id.nodes.bench_simulator", files=[CONFIG / "bench_simulator.yaml"], parameters=LIGHT)
     return found
 
 

@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from live_drive import LIGHT
 
 CONFIG = Path(__file__).parent.parent.parent / "config"
 SUPPORT = Path(__file__).parent.parent / "support"
@@ -77,7 +78,8 @@ def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
     from std_srvs.srv import Trigger
 
     namespace = f"/{trajectory}"
-    bench = ros.host("drive_id.nodes.bench_simulator", files=[CONFIG / "bench_simulator.yaml"], namespace=namespace)
+    files = [CONFIG / "bench_simulator.yaml"]
+    bench = ros.host("drive_id.nodes.bench_simulator", files=files, parameters=LIGHT, namespace=namespace)
     ros.environment["PYTHONPATH"] = os.pathsep.join([str(SUPPORT), os.environ.get("PYTHONPATH", "")])
     process = ros.start(
         "timed_publisher",

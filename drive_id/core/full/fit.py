@@ -222,58 +222,93 @@ def fit_full(
     if earlier is not None and not settings.passive_maps:
         return fit_again(sums, earlier, noise)
     selection = select(sums, settings, turn, noise)
-    sums = selection.search.sums
-    noise = noise.among(sums.kept())
-    kept, solver, uncertain = sums.kept(), selection.solver, selection.solution
+    noise = noise.among(selection.search.sums.kept())
+    judged = _judged(selection, noise, passive=settings.passive_maps)
+    misfit, jump = _causes(selection, judged, settings, noise)
+    assessment = _assessment(selection, judged, misfit, jump)
+    return FullFit(model=judged.model, solution=judged.solution, selection=selection, assessment=assessment)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Judged:
+    """A solution, corrected, and all that its errors stem from."""
+
+    model: FullModel
+    uncorrected: FullSolution
+    solution: FullSolution
+    changes: FloatArray  # as in Assessment
+    energy: FloatArray  # (B,), of the residuals of each batch of time, and when that is, s
+    times: FloatArray
+    misfit: LackOfFit
+    by_rivals: dict[str, FloatArray]
+    by_open: dict[str, FloatArray]  # changes by what the data leave open
+
+
+def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Judged:
+    """Correct the selected solution and judge it, without effects that are not significant by all its errors."""
+    sums, solver, uncorrected = selection.search.sums, selection.solver, selection.solution
     crossed = bool(np.isfinite(selection.crossings))
     while True:
-        solution, by_noise = correct_attenuation(solver, uncertain, noise)
-        if settings.passive_maps:
+        solution, by_noise = correct_attenuation(solver, uncorrected, noise)
+        if passive:
             solution = enforce_passivity(solver, solution)
         batches, energy, times, misfit = residual_statistics(sums, solution, noise)
-        biases = [solver.shrinkage(solution), by_noise, UNCERTAIN_SHARE * solver.by_remainder(solution)]
-        biases.append(by_delay := _by_delay(solver, uncertain, selection))
-        by_rivals = _with_rivals(solver, uncertain, selection)
-        undecided = _with_undecided(solver, uncertain, selection)
+        by_delay = _by_delay(solver, uncorrected, selection)
+        biases = (solver.shrinkage(solution), by_noise, UNCERTAIN_SHARE * solver.by_remainder(solution), by_delay)
         own = np.column_stack([batches, *biases, misfit.changes])
-        among = np.column_stack([undecided, *by_rivals.values(), _among_curves(solver, solution, batches, crossed)])
-        changes = np.hstack([own, among])
         weak = _weakest(sums.model, solution, own)  # another model moves an effect: it does not show that there is none
         if weak is None:
             break
         effects = tuple(name for name in solution.spec.effects if name != weak)
-        uncertain = solver.solve(replace(solution.spec, effects=effects))
-    turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
-    speeds = np.concatenate(turns)
-    if misfit.ratio > LEAST_TOLD or not solution.spec.reciprocal:
+        uncorrected = solver.solve(replace(solution.spec, effects=effects))
+    by_rivals = _with_rivals(solver, uncorrected, selection)
+    undecided = _with_undecided(solver, uncorrected, selection)
+    among = np.column_stack([undecided, *by_rivals.values(), _among_curves(solver, solution, batches, crossed)])
+    by_open = {DELAY: by_delay, selection.search.found.undecided: undecided}
+    return _Judged(
+        model=sums.model, uncorrected=uncorrected, solution=solution, changes=np.hstack([own, among]), energy=energy,
+        times=times, misfit=misfit, by_rivals=by_rivals, by_open=by_open,
+    )  # fmt: skip
+
+
+def _causes(
+    selection: Selection, judged: _Judged, settings: FitSettings, noise: CurrentNoise
+) -> tuple[LackOfFit, DelayJump | None]:
+    """Return the lack of fit with its likely causes, and where the delay of the voltages changes."""
+    sums, solver, misfit, found = selection.search.sums, selection.solver, judged.misfit, judged.solution.spec
+    if misfit.ratio > LEAST_TOLD or not found.reciprocal:
         spec = selection.search.solution.spec
         expected = tuple(order for order in spec.orders if order in settings.harmonic_orders)
-        reciprocal = solver.solve(replace(spec, effects=solution.spec.effects, orders=expected))
+        reciprocal = solver.solve(replace(spec, effects=found.effects, orders=expected))
         causes = tested_causes(sums, solver, reciprocal, effects_to_try(sums, settings), noise)
         misfit = replace(misfit, causes=causes)
-    jump = None
-    if misfit.ratio > LEAST_TOLD:
-        every = Windows.joined(list(kept))
-        jump = delay_jump(every, sums.model.residuals(every, solution.estimate))
+    if misfit.ratio <= LEAST_TOLD:
+        return misfit, None
+    every = Windows.joined(list(sums.kept()))
+    return misfit, delay_jump(every, sums.model.residuals(every, judged.solution.estimate))
+
+
+def _assessment(selection: Selection, judged: _Judged, misfit: LackOfFit, jump: DelayJump | None) -> Assessment:
+    """Return what the windows tell of a judged solution."""
+    sums, energy, kept = selection.search.sums, judged.energy, selection.search.sums.kept()
+    turns = [np.angle(np.exp(1j * np.diff(windows.angle, axis=1)[:, 0])) / windows.duration for windows in kept]
+    speeds = np.concatenate(turns)
     durations = np.concatenate([windows.duration for windows in kept])
-    assessment = Assessment(
-        changes=changes,
+    return Assessment(
+        changes=judged.changes,
         misfit=misfit,
         speeds=speeds,
-        drop_slope=_drop_slope(sums.model, solution, kept),
+        drop_slope=_drop_slope(judged.model, judged.solution, kept),
         turn=float(np.median(np.abs(speeds) * durations)),
         duration=float(np.median(durations)),
         outlying=float(energy.max() / max(np.median(energy), TINY)),
-        outlying_share=float(np.sqrt(energy.max() / max(solver.total_voltage, TINY))),
-        outlying_time=float(times[energy.argmax()]),
-        unseen=_unseen(sums, uncertain),
-        by_rivals=by_rivals,
-        open=_open(
-            changes[sums.model.map], {DELAY: by_delay, selection.search.found.undecided: undecided}, sums.model.map
-        ),
+        outlying_share=float(np.sqrt(energy.max() / max(selection.solver.total_voltage, TINY))),
+        outlying_time=float(judged.times[energy.argmax()]),
+        unseen=_unseen(sums, judged.uncorrected),
+        by_rivals=judged.by_rivals,
+        open=_open(judged.changes[judged.model.map], judged.by_open, judged.model.map),
         jump=jump,
     )
-    return FullFit(model=sums.model, solution=solution, selection=selection, assessment=assessment)
 
 
 def _open(changes: FloatArray, by_effect: dict[str, FloatArray], columns: slice) -> str:

@@ -19,6 +19,8 @@ ComplexArray = NDArray[np.complex128]
 PHASE_SHIFTS = np.array([0.0, 2 * np.pi / 3, -2 * np.pi / 3])
 """Angle of the axis of phases a, b, c in the stator frame, rad."""
 
+J = np.array([[0.0, -1.0], [1.0, 0.0]])
+"""Rotation of d and q components by 90 degrees."""
 THIRD, ROOT_THIRD = 1 / 3, math.sqrt(1 / 3)
 """Factors of the transformation: divisions are slow in kernels."""
 _SERIES_BELOW = 0.1

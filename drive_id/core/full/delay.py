@@ -153,9 +153,8 @@ def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) 
     left = _NOISE_SHARE * sigma**2 * solution.rows
     bounds = [sigma, _BIAS, _SMOOTHING_BOUND * (smoother - found), by_noise, left]
     if noise.interpolation_variance:
-        bounds.append(
-            np.sqrt(noise.interpolation_variance) / noise.turn
-        )  # the angle turned by a delay that it resembles
+        resembled = np.sqrt(noise.interpolation_variance) / noise.turn  # the delay that turns the angle as far
+        bounds.append(resembled)
     if abs(found) > _USUAL:
         of_noise = _MORE_THAN_NOISE * solution.rows * noise.explained(solver.model, solution)
         if squares > _MOST_LEFT * solution.sum_of_squares or solution.sum_of_squares < of_noise:

@@ -226,14 +226,15 @@ def fit_full(
     judged = _judged(selection, noise, passive=settings.passive_maps)
     misfit, jump = _causes(selection, judged, settings, noise)
     assessment = _assessment(selection, judged, misfit, jump)
-    return FullFit(model=judged.model, solution=judged.solution, selection=selection, assessment=assessment)
+    return FullFit(
+        model=selection.search.sums.model, solution=judged.solution, selection=selection, assessment=assessment
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Judged:
     """A solution, corrected, and all that its errors stem from."""
 
-    model: FullModel
     uncorrected: FullSolution
     solution: FullSolution
     changes: FloatArray  # as in Assessment
@@ -266,8 +267,8 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
     among = np.column_stack([undecided, *by_rivals.values(), _among_curves(solver, solution, batches, crossed)])
     by_open = {DELAY: by_delay, selection.search.found.undecided: undecided}
     return _Judged(
-        model=sums.model, uncorrected=uncorrected, solution=solution, changes=np.hstack([own, among]), energy=energy,
-        times=times, misfit=misfit, by_rivals=by_rivals, by_open=by_open,
+        uncorrected=uncorrected, solution=solution, changes=np.hstack([own, among]), energy=energy, times=times,
+        misfit=misfit, by_rivals=by_rivals, by_open=by_open,
     )  # fmt: skip
 
 
@@ -298,7 +299,7 @@ def _assessment(selection: Selection, judged: _Judged, misfit: LackOfFit, jump: 
         changes=judged.changes,
         misfit=misfit,
         speeds=speeds,
-        drop_slope=_drop_slope(judged.model, judged.solution, kept),
+        drop_slope=_drop_slope(sums.model, judged.solution, kept),
         turn=float(np.median(np.abs(speeds) * durations)),
         duration=float(np.median(durations)),
         outlying=float(energy.max() / max(np.median(energy), TINY)),
@@ -306,7 +307,7 @@ def _assessment(selection: Selection, judged: _Judged, misfit: LackOfFit, jump: 
         outlying_time=float(judged.times[energy.argmax()]),
         unseen=_unseen(sums, judged.uncorrected),
         by_rivals=judged.by_rivals,
-        open=_open(judged.changes[judged.model.map], judged.by_open, judged.model.map),
+        open=_open(judged.changes[sums.model.map], judged.by_open, sums.model.map),
         jump=jump,
     )
 

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg, sparse
 
+from drive_id.core.frames import J
 from drive_id.core.full.model import (
     PENALTIES,
     RESISTANCE,
@@ -56,8 +57,6 @@ _NOISE_STEP = 2.0
 _BY_NOISE, _MOST_BY_NOISE = 0.5, 0.98
 """Share of noise in the products of a direction from which on its error is widened, and the largest one that counts:
 the variance of the noise is known to some percent."""
-_TURN = np.array([[0.0, -1.0], [1.0, 0.0]])
-"""By 90 degrees."""
 _POWERS, _FOUND = 20, 0.6
 """Steps of a power iteration for the largest share, and what they find of it at least."""
 _THINNED = 2000
@@ -462,7 +461,7 @@ class CurrentNoise:
         inductances = jacobian(model.flux, gamma, i_dq)
         squares = self.variance * np.square(inductances).reshape(len(windows), -1).sum(axis=1)
         if self.angle_variance:
-            turned = model.flux.rows(i_dq).dot(gamma) @ _TURN.T - (inductances @ (i_dq @ _TURN.T)[..., None])[..., 0]
+            turned = model.flux.rows(i_dq).dot(gamma) @ J.T - (inductances @ (i_dq @ J.T)[..., None])[..., 0]
             squares += self.angle_variance * np.square(turned).reshape(len(windows), -1).sum(axis=1)
         return np.asarray(windows.weights * squares)
 
@@ -510,9 +509,9 @@ def noise_products(solver: Solver, solution: FullSolution, noise: CurrentNoise, 
     slopes = [rows.sparse(model.flux.parameters) for rows in model.flux.slope_rows(i_dq)]
     moved = [(noise.variance, one) for one in slopes]
     if noise.angle_variance:
-        turns = sparse.csr_array(sparse.kron(sparse.eye_array(len(i_dq)), _TURN))
+        turns = sparse.csr_array(sparse.kron(sparse.eye_array(len(i_dq)), J))
         turned = turns @ model.flux.rows(i_dq).sparse(model.flux.parameters)
-        for one, way in zip(slopes, (i_dq @ _TURN.T).T, strict=True):
+        for one, way in zip(slopes, J @ i_dq.T, strict=True):
             turned -= sparse.diags_array(np.repeat(way, 2)) @ one
         moved.append((noise.angle_variance, turned))
     products = sum(variance * (one.T @ sparse.diags_array(np.repeat(weights, 2)) @ one) for variance, one in moved)

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.core.frames import J
 from drive_id.core.steady.flux_bases import FluxBasis, affine_rows, linearized
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.types import FloatArray
-
-J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from scipy.special import stdtrit
 
 from drive_id.common.quantity import counted
 from drive_id.common.temperature import COPPER, REFERENCE_TEMPERATURE
+from drive_id.core.frames import J
 from drive_id.core.steady.drop import DropShapes
-from drive_id.core.steady.effects import EFFECTS, Effect, J, effect_columns
+from drive_id.core.steady.effects import EFFECTS, Effect, effect_columns
 from drive_id.core.steady.flux_bases import AffineBasis, CoEnergyBasis, FluxBasis, linearized
 from drive_id.core.steady.operating_points import OperatingPoints
 from drive_id.core.steady.regression import Equations, Posterior, solved

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from drive_id.common.settings import Checked, setting
+from drive_id.core import frames
 from drive_id.exchange.imports.points import MapPoints
 
 _LEAST_SCALE = 1e-30  # only excludes zero and negative factors
@@ -82,7 +83,7 @@ def converted(points: MapPoints, conventions: Conventions) -> MapPoints:
     if conventions.magnet == "minus":
         transform, shift = -transform, shift + pi
     if conventions.axis == "sr":
-        transform, shift = np.array([[0.0, -1.0], [1.0, 0.0]]) @ transform, shift - pi / 2
+        transform, shift = frames.J @ transform, shift - pi / 2
     into = 1.0 if conventions.sign == "motor" else -1.0
     amperes = into * _AMPLITUDE[conventions.current] * conventions.current_scale
     webers = _AMPLITUDE[conventions.flux] * conventions.flux_scale

@@ -181,14 +181,14 @@ def test_a_queue_that_is_full_loses_and_counts(tmp_path):
 
 
 def test_a_recording_ends_complete_before_the_disk_is_full(tmp_path, monkeypatch):
-    free = iter([3e9, 150e6, 1e6])
-    monkeypatch.setattr(recording_session, "free_space", lambda _: int(next(free)))
+    free = [3e9]
+    monkeypatch.setattr(recording_session, "free_space", lambda _: int(free[-1]))
     session = record(tmp_path / "bag", RecordingSettings(flush_period=0.05))
-    number = 0
-    while not session.error:
-        feed(session, 1, first=number)
-        number += 1
-        time.sleep(0.005)
+    feed(session, 20)
+    free.append(150e6)  # between two blocks, not between two topics of one
+    wait_for(lambda: session.error)
+    feed(session, 1, first=20)
+    number = 21
     assert session.stop(10.0)
     report = session.report()
     assert "has 150 MB left, less than least_free_space (200 MB): free some space, or lower it. The" in report.outcome()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from drive_id.core import frames
 from drive_id.types import FloatArray
 
 _SLOW = 0.03
@@ -70,7 +69,7 @@ def angle_variance(angle: FloatArray) -> float:
     """
     if len(angle) <= _ANGLE_ORDER:
         return 0.0
-    squares = np.square(np.diff(frames.wrapped(np.diff(angle)), _ANGLE_ORDER - 1)) / _ANGLE_POWER
+    squares = np.square(np.diff(np.unwrap(angle), _ANGLE_ORDER)) / _ANGLE_POWER
     count = len(squares) // _LENGTH
     if not count:
         return float(np.mean(squares))

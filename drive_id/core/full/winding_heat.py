@@ -7,7 +7,7 @@ The constant is found from the data, as the frequency of a ripple is: that which
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,8 +16,12 @@ from drive_id.core.full.model import RESISTANCE, FullModel
 from drive_id.core.full.windows import Windows
 from drive_id.types import FloatArray, IntArray
 
-_CONSTANTS = 60.0 * 0.6 ** np.arange(9)
-"""Thermal time constants tried, s, from slow windings to the bare wires of small ones; between them by a parabola."""
+_CONSTANTS = 465.0 * 0.6 ** np.arange(13)
+"""Thermal time constants tried, s, from stators to the bare wires of small windings; between them by a parabola."""
+_CHANGE = 0.1
+"""Change of the inverse of a time constant, over that of the recording, for its derivative."""
+_APART = 2
+"""Steps in that list by which the constants of two courses differ at least: 2.8 times."""
 _STEPS = 2000
 """Of a course, over a recording: of 10 s, a trajectory's turn takes 20 and more of them."""
 _PASSES = 3
@@ -36,7 +40,8 @@ class WindingHeat:
     time: FloatArray
     heat: FloatArray
     constant: float = np.inf  # thermal time constant, s
-    growth: float = 0.0  # of R at the largest rise, relative
+    slow: float = np.inf  # the same of what warms beside it, more slowly
+    growth: float = 0.0  # of R by all heat at its largest rise, relative
 
     @classmethod
     def of(cls, windows: Windows) -> WindingHeat:
@@ -44,8 +49,16 @@ class WindingHeat:
         some = windows.thinned(_NODES)
         return cls(some.recording, some.time, some.heat)
 
+    def courses(self, windows: Windows) -> list[FloatArray]:
+        """Return the rise (N,); where it settles, also its changes by the time constant and by slower heat."""
+        rise = self(windows)
+        if np.isinf(self.constant):
+            return [rise]
+        faster = 1 / (1 / self.constant + _CHANGE / float(self.time.max()))
+        return [rise, *(replace(self, constant=each)(windows) - rise for each in (faster, self.slow))]
+
     def __call__(self, windows: Windows) -> FloatArray:
-        """Return the relative rise (N,) at the start of windows."""
+        """Return the relative rise (N,) in the middle of windows."""
         courses, largest = {}, 1e-12
         for number in np.unique(np.concatenate([self.recording, windows.recording])):
             known, own = self.recording == number, windows.recording == number
@@ -60,7 +73,7 @@ class WindingHeat:
         out = np.zeros(len(windows))
         for number, rise in risen.items():
             own = windows.recording == number
-            out[own] = np.interp(windows.time[own], courses[number][0], rise)
+            out[own] = np.interp((windows.time + 0.5 * windows.duration)[own], courses[number][0], rise)
         return out / largest
 
     def _risen(self, time: FloatArray, heat: FloatArray, growth: float) -> FloatArray:
@@ -76,7 +89,7 @@ class WindingHeat:
         return np.array(course)
 
     def fitted(self, model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> WindingHeat:
-        """Return the heat with the time constant that explains most of the residuals, infinite unless clearly.
+        """Return the heat with the time constants that explain most of the residuals, infinite unless clearly.
 
         Parameters
         ----------
@@ -86,22 +99,41 @@ class WindingHeat:
         windows, own, estimate = Windows.joined(list(kept)), model.effect("copper_heating"), estimate.copy()
         growth = float(np.clip(estimate[own][0] / estimate[RESISTANCE], 0.0, 1.0))
         estimate[own] = 0.0
-        left = model.residuals(windows, estimate).ravel()
         current = np.sqrt(windows.weights) * windows.current
         steady = np.stack([current.real, current.imag], axis=1).ravel()
+        courses = [np.repeat(replace(self, constant=each, growth=growth)(windows), 2) for each in (np.inf, *_CONSTANTS)]
+        rows = np.stack([model.residuals(windows, estimate).ravel(), steady, *(course * steady for course in courses)])
+        products, clear = rows @ rows.T, _CLEAR / rows.shape[1]
 
-        def squares(constant: float) -> float:
-            warm = np.repeat(replace(self, constant=constant, growth=growth)(windows), 2) * steady
-            columns = np.stack([steady, warm], axis=1)
-            found = np.linalg.lstsq(columns.T @ columns, columns.T @ left)[0]
-            return float(np.sum((left - columns @ found) ** 2))
+        def left(*chosen: int) -> float:
+            columns = [1, *(2 + number for number in chosen)]
+            moment = products[0, columns]
+            return float(products[0, 0] - moment @ np.linalg.lstsq(products[np.ix_(columns, columns)], moment)[0])
 
-        stays, tried = squares(np.inf), [squares(constant) for constant in _CONSTANTS]
-        best = int(np.clip(np.argmin(tried), 1, len(tried) - 2))
-        before, at, after = tried[best - 1 : best + 2]
-        bend = before + after - 2 * at
-        shift = float(np.clip(0.5 * (before - after) / bend, -1.0, 1.0)) if bend > 0 else 0.0
-        constant = float(_CONSTANTS[best] * (_CONSTANTS[1] / _CONSTANTS[0]) ** shift)
-        least = squares(constant)
-        clear = stays - least > _CLEAR * least / len(left)
-        return replace(self, constant=constant if clear else np.inf, growth=growth)
+        constant, slow = _time_constants(left, clear)
+        return replace(self, constant=constant, slow=slow, growth=growth)
+
+
+def _time_constants(left: Callable[..., float], clear: float) -> tuple[float, float]:
+    """Return the time constant of the winding and that of slower heat, s; infinite where the data do not clearly tell.
+
+    Parameters
+    ----------
+    left : function
+        Of the numbers of courses, 0 of heat that stays and then those of ``_CONSTANTS``: squares that they leave.
+    clear : float
+        Share of the squares that a time constant must explain.
+    """
+    numbers, constants = range(len(_CONSTANTS)), (np.inf, *_CONSTANTS)
+    least = min(map(left, numbers))
+    if left(0) - least <= clear * least:
+        return np.inf, np.inf
+    pairs = {slow: [left(slow, fast) for fast in numbers[slow + _APART :]] for slow in numbers[: -_APART - 1]}
+    likely = min(pairs, key=lambda slow: min(pairs[slow]))
+    least = min(pairs[likely])
+    slow = likely if min(pairs[0]) - least > clear * least else 0
+    fast = slow + _APART + int(np.argmin(pairs[slow]))
+    before, at, after = (left(slow, number) for number in (fast - 1, fast, fast + 1))
+    bend = before + after - 2 * at
+    shift = float(np.clip(0.5 * (before - after) / bend, -1.0, 1.0)) if bend > 0 else 0.0
+    return float(constants[fast] * (_CONSTANTS[1] / _CONSTANTS[0]) ** shift), constants[slow]

@@ -19,6 +19,7 @@ from drive_id.core import frames
 from drive_id.core.full.effects.columns import EffectColumns
 from drive_id.core.full.effects.link import RippleShape
 from drive_id.core.full.model import EFFECTS, RESISTANCE, VOLTAGE, FullModel
+from drive_id.core.full.winding_heat import WindingHeat
 from drive_id.core.full.windows import LAGS, WindowCutter, Windows
 from drive_id.types import Samples
 
@@ -290,6 +291,22 @@ def test_a_column_is_what_a_little_of_the_effect_changes(case, estimate, columns
     plus, minus = (residual(each, estimate) for each in windows)
     column = columns[0][:, EFFECTS[case.split(",")[0]].start + number]
     close(windows[0], column, (plus - minus) / (2 * size), OF_SAMPLING.get(case, NEAR))
+
+
+@pytest.mark.parametrize(("number", "constant"), [(0, 0.1), (2, 0.4)])
+def test_heat_that_is_given_off_has_its_time_constant(number, constant, estimate):
+    fine = np.linspace(0.0, SECONDS, 20001)
+    risen = np.convolve(np.abs(current(fine)) ** 2, np.exp(-fine / constant))[: len(fine)]
+    windows, size = cut(Drive().record()), 1e-3
+
+    def warm(x):
+        return Drive(resistive=lambda t, i_s: (R + x * np.interp(t, fine, risen / risen.max())) * i_s)
+
+    winding = replace(WindingHeat.of(windows), constant=0.1, slow=0.4)
+    columns = EffectColumns(MODEL, estimate, float(windows.heat.max()), U_DC, PAIRS, winding=winding)(windows)
+    plus, minus = (residual(cut(warm(x).record()), estimate) for x in (size, -size))
+    own = columns[:, EFFECTS["copper_heating"]]
+    close(windows, own[:, 0] + (own[:, number] if number else 0.0), (plus - minus) / (2 * size), NEAR)
 
 
 @pytest.mark.parametrize(

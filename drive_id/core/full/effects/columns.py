@@ -126,7 +126,7 @@ class EffectColumns:
             drops=windows.drop_scale[:, None] * np.einsum("nsp,sp->np", windows.shape, self._drops),
             shapes=self.model.shapes.coarse,
             heat=heat,
-            warmth=heat if self.winding is None else self.winding(windows),
+            warmth=[heat] if self.winding is None else self.winding.courses(windows),
             link=self.link,
             ripple=self.ripple,
             filter=max(float(self._value("current_latency")[0]), 0.0),

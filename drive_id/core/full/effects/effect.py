@@ -89,7 +89,7 @@ class Linearized(Ends):
     drops: FloatArray  # (N, 3), integral of the drop of each phase, Vs
     shapes: Callable[[FloatArray], FloatArray]  # coarse shapes (..., S) of the drop at phase currents (...), A
     heat: FloatArray  # (N,), relative to the largest within a recording
-    warmth: FloatArray  # (N,), rise of the winding's temperature, likewise
+    warmth: list[FloatArray]  # (N,), rise of the winding's temperature, likewise, see ``WindingHeat.courses``
     link: float  # mean DC-link voltage, V; NaN where it is not known
     ripple: float  # Hz; 0 without
     filter: float  # time constant of the currents' filter, s; 0 without

@@ -29,15 +29,20 @@ reciprocity looked like -69 K."""
 
 @dataclass(frozen=True)
 class CopperHeating(DriveEffect):
-    """Rise of R over a recording: ``int i_s h dt``, h being the winding's temperature, see ``winding_heat.py``."""
+    """Rise of R over a recording: ``int i_s h dt``, h being the winding's temperature, see ``winding_heat.py``.
 
+    Where the winding settles, its time constant and the stator that warms around it more slowly have columns, too: what
+    the data leave open of them, they leave open of R.
+    """
+
+    width = 3
     at_rest, of_recordings = True, True
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return [at.windows.current * at.warmth]
+        return [at.windows.current * course for course in at.warmth]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        (x,), (dx,) = found.value, found.sigma
+        x, dx = float(found.value[0]), float(found.sigma[0])
         key, told, falls = "", _relative(found, x), x < -CERTAIN * dx
         if falls:
             key = "resistance_rise.falls"

@@ -77,7 +77,7 @@ class RecordingReport:
 
     @property
     def samples(self) -> int:
-        """Samples of the first topic in the bag."""
+        """Samples of the first topic in the bag; where a write failed, the last block may lack other topics."""
         return self.topics[0].written
 
     @property

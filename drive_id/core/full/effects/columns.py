@@ -134,13 +134,14 @@ class EffectColumns:
         )
 
     def likely_pole_pairs(self, windows: Windows) -> int:
-        """Return the number of pole pairs at which resolver eccentricity reduces the residuals most."""
+        """Return the number of pole pairs at which an eccentric resolver or rotor reduces the residuals most."""
         at = self._at(windows)
         left, weights = self.model.residuals(windows, self.estimate).T.ravel(), np.sqrt(windows.weights)[:, None]
         shares = {}
         for pairs in range(2, _MOST_POLE_PAIRS + 1):
             waves = at.in_runs(mechanical_waves(windows, pairs))
-            z = weights * np.stack([between(at.tilt * wave) for wave in waves], axis=1)
+            turned = [vector * wave for wave in waves for vector in (at.tilt, at.turn * at.psi)]
+            z = weights * np.stack([between(column) for column in turned], axis=1)
             rows = np.concatenate([z.real, z.imag])
             shares[pairs] = float(np.sum((rows @ np.linalg.lstsq(rows, left, rcond=1e-9)[0]) ** 2))
         return max(shares, key=lambda pairs: shares[pairs])

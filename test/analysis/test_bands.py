@@ -147,6 +147,7 @@ def test_bands_of_optima_are_those_of_optima_found_anew(erring, pairs):
     same(sigma_envelope(model, LIMITS, points), pairs, lambda other: envelope(other, LIMITS, speed).torque)
 
 
+@pytest.mark.slow  # corner speeds of many maps
 def test_the_band_of_the_corner_speed_is_that_of_corner_speeds_found_anew(erring, pairs):
     small = drive_id.AnalysisSettings(current_points=3, torque_points=1, speed_points=3)
     figure = drive_id.analyze(erring, small).figures["corner_speed"]

@@ -81,6 +81,7 @@ def test_two_nodes_of_one_name_are_named(ros):
     ros.wait(lambda: words not in said.get("/trajectory_publisher", [words])[-1], "the end of the twin")
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("module", [PUBLISHER, "drive_id.nodes.identification", "drive_id.nodes.recorder"])
 def test_a_second_drive_is_named_though_it_is_silent(ros, module, tmp_path):
     """The drive and the idle publisher are nodes of two names."""

@@ -129,6 +129,7 @@ def test_noise_of_the_angle_explains_what_it_does_to_windows(samples):
     np.testing.assert_allclose(noise.at_ends(fit.model, estimate, windows), expected, rtol=0.01)
 
 
+@pytest.mark.accuracy
 def test_what_only_noise_moves_is_not_known():
     """The slope across a ring is taken from noise, which attenuates it to nothing."""
 
@@ -270,6 +271,7 @@ def test_what_is_uncertain_of_a_delay_is_uncertain_of_the_map(samples):
     assert sigma(form @ fit.assessment.changes) > 0.9 * turned * 0.08  # psi_q by psi_d = 80 mWb
 
 
+@pytest.mark.accuracy
 def test_what_a_rival_of_an_effect_would_change_is_uncertain_and_told_if_it_matters(samples):
     fit = fitted(replace(samples, i_abc=samples.i_abc * np.array([1.006, 0.997, 0.997])))
     (name,), rival = fit.spec.effects, "iron_loss"
@@ -310,6 +312,7 @@ def test_a_skew_of_the_machine_makes_the_angle_uncertain_by_as_much(offset, appl
     assert np.sqrt(np.mean(((psi - skewed_flux(found.flux_map.grid()[inside])) / sigma) ** 2)) < 2
 
 
+@pytest.mark.accuracy
 def test_one_segment_that_gains_most_does_not_prevent_the_rest_from_confirming(samples, monkeypatch):
     """Where the speed was reversed, iron loss that saves 94 % of the squares was left out, and R was 16 % off."""
     ours = effect_search.held_out
@@ -323,6 +326,7 @@ def test_one_segment_that_gains_most_does_not_prevent_the_rest_from_confirming(s
     assert fitted(replace(samples, i_abc=samples.i_abc * np.array([1.006, 0.997, 0.997]))).spec.effects
 
 
+@pytest.mark.accuracy
 def test_an_effect_whose_size_depends_on_an_open_one_stays(samples, monkeypatch):
     """Heating beside a drop that follows the logged link was dropped: R was 5 % off at four standard errors."""
     gains = replace(samples, i_abc=samples.i_abc * np.array([1.006, 0.997, 0.997]))
@@ -351,6 +355,7 @@ def test_voltages_late_throughout_one_recording_are_no_slip(samples):
     assert fitted(replace(samples, u_abc=np.roll(samples.u_abc, 1, axis=0))).assessment.jump is None
 
 
+@pytest.mark.accuracy
 def test_one_speed_of_few_samples_per_turn_is_warned_of():
     one, other = (record(duration=1.0, noise=0.3, speed=speed) for speed in (5000.0, -4500.0))
     warned = [{said.code for said in identify(parts, FULL).report.warnings} for parts in ([one], [one, other])]
@@ -367,6 +372,7 @@ def test_an_offset_of_the_angle_is_found_by_symmetry(samples):
     assert errors(as_measured).max() > 5e-3
 
 
+@pytest.mark.accuracy
 def test_gain_mismatch_is_traced_back(samples):
     gains, offset = np.array([1.006, 0.997, 0.997]), np.array([0.6, -0.2, -0.4])
     faulty = identify([replace(samples, i_abc=samples.i_abc * gains + offset)], FULL)
@@ -379,6 +385,7 @@ def test_gain_mismatch_is_traced_back(samples):
     assert np.all(errors(faulty) < 2e-3)
 
 
+@pytest.mark.accuracy
 def test_what_one_faulty_sensor_adds_to_all_currents_is_in_the_errors(samples):
     """1 % of one phase is a third of that of all currents, which no log shows."""
     found = identify([replace(samples, i_abc=samples.i_abc * (1.01, 1.0, 1.0))], FULL)

@@ -79,6 +79,7 @@ def test_an_angle_near_half_a_turn_off_makes_the_magnet_negative(good, monkeypat
     assert "resistance is negative" in told(replace(good, i_abc=-good.i_abc))
 
 
+@pytest.mark.accuracy
 def test_a_weak_magnet_half_a_turn_off_is_told(monkeypatch):
     """5 mWb of 130, where the checks say nothing; a machine without a magnet is told nothing."""
     monkeypatch.setattr(Prescan, "findings", lambda *_: ())

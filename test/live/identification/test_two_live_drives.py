@@ -183,6 +183,7 @@ def first_of_full():
     return list(blocks_of(record(reciprocal_flux, resistance=0.01, duration=1.5, noise=0.02)).values())
 
 
+@pytest.mark.cases
 @pytest.mark.parametrize("other", FULL)
 def test_method_full_gives_a_map_of_each_part_and_none_of_both(tmp_path, first_of_full, other):
     resistance, flux, magnet = FULL[other]

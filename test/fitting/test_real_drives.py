@@ -228,6 +228,19 @@ def test_a_dc_link_that_falls_under_load_and_was_not_recorded_is_corrected():
     assert 100 * max(score(found, simulation.truth)) < 2 * FLUX
 
 
+def test_a_dc_link_that_rises_while_power_flows_back_and_was_not_recorded_is_corrected():
+    """By 0.5 %, as under a brake chopper: the map was 0.2 % off at four standard errors, without a warning."""
+    simulation = run_experiment(IPM, replace(GOOD, **BOTH_WAYS), FAST, SECONDS)
+    samples = simulation.samples
+    power = np.convolve(np.sum(samples.u_abc * samples.i_abc, axis=1), np.ones(50) / 50, "same")
+    link = 1.0 + 0.005 * (power < 0)
+    found = fitted(replace(samples, u_abc=samples.u_abc / link[:, None]))
+    (rise,) = (entry for entry in found.calibrations if entry.name == "link_rise")
+    assert rise.value == pytest.approx(0.005, rel=0.1)
+    assert found.report.warnings == ()
+    assert 100 * max(score(found, simulation.truth)) < 2 * FLUX
+
+
 def test_a_dc_link_whose_log_cannot_be_right_or_decides_the_scale_is_warned_of():
     drift = {"u_dc_drift": 0.01, "u_dc_drift_frequency": 2.3, "log_scalars": ("dc_link_voltage",)}
     samples = run_experiment(IPM, replace(GOOD, speeds=(500.0, -900.0), **drift), seconds=SECONDS).samples
@@ -305,7 +318,7 @@ def test_a_ripple_that_heat_hides_is_found():
 def test_an_eccentric_rotor_is_named_where_pole_pairs_are_not_known():
     """The misfit was said to be of a ripple of the DC link."""
     settings = replace(GOOD, **BOTH_WAYS, eccentricity=(0.005,))
-    simulation = run_experiment(IPM, settings, seconds=SECONDS, trajectory=FAST)
+    simulation = run_experiment(IPM, settings, FAST, SECONDS)
     found = fitted(simulation.samples)
     (told,) = (warning for warning in found.report.warnings if warning.code == "misfit")
     assert "eccentric rotor" in str(told)

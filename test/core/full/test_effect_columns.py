@@ -27,12 +27,12 @@ I_MAX, RADIUS, R, PERIOD, SECONDS, SPEED, PAIRS = 330.0, 300.0, 0.02, 1e-4, 0.5,
 NEAR = 0.02
 OF_SAMPLING = {
     "flux_lag_1ms": 0.06, "current_latency": 0.03, "current_offset": 0.1, "current_offset, imaginary": 0.1,
-    "late_magnet_heating": 0.03, "drop_by_link": 0.04,
+    "late_magnet_heating": 0.03, "drop_by_link": 0.04, "link_rise": 0.06,
 }  # fmt: skip
 """Relative error of a column; larger where half a sample of 0.1 ms counts: of a lag of 1 ms, and as the current of this
 drive is smooth between the samples, where that of a real drive has the ripple of the held voltage; and where coarse
 shapes stand for the slope of the drop, which is a large part of an offset's column; and where heat and link have one
-value in a window."""
+value in a window, in which the power may change its sign."""
 OF_SECOND_ORDER = 0.1
 LARGE_LOSS = 1.2
 """Conductance of the iron, S."""
@@ -214,6 +214,7 @@ CASES = {
         0, lambda x: Drive(resistive=lambda t, i_s: R * i_s + x * 0.01 * np.cos(LINK_TURN * t) * drop_of(i_s)), 0.5
     ),
     "link_sag": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 - x * power(t, u_s))), 1e-6),
+    "link_rise": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 + x * (power(t, u_s) < 0))), 1e-3),
     "phase_resistance": (0, unequal, 1e-3),
     "phase_inductance": (
         0, lambda x: Drive(psi=lambda t: plain_flux(t) + x * above_and_below_mean(plain_current(t))), 1e-5

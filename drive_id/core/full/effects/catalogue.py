@@ -11,7 +11,7 @@ from drive_id.core.full.effects.heat import (
     MagnetRecordings,
 )
 from drive_id.core.full.effects.iron import Coercivity, EddyCurrents, Hysteresis
-from drive_id.core.full.effects.link import DcLink, DropByLink, LinkRipple, LinkSag
+from drive_id.core.full.effects.link import DcLink, DropByLink, LinkRipple, LinkRise, LinkSag
 from drive_id.core.full.effects.parts import AngleOfParts, DropOfParts, UnlikeParts
 from drive_id.core.full.effects.phases import (
     DropAsymmetry,
@@ -54,6 +54,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         DropByLink("drop_by_link"),
         LinkRipple("link_ripple"),
         LinkSag("link_sag"),
+        LinkRise("link_rise"),
         PhaseResistance("phase_resistance"),
         PhaseInductance("phase_inductance"),
         UnequalDrops("phase_drop"),

@@ -123,6 +123,26 @@ class LinkSag(DriveEffect):
         yield found.entry("link_sag", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
 
 
+@dataclass(frozen=True)
+class LinkRise(DriveEffect):
+    """Relative rise of the link while power flows back, as to where a brake chopper begins: ``-int u_s`` there."""
+
+    of_link, at_rest, positive = True, True, True
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return not known.link
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        windows, voltage = at.windows, at.windows.voltage
+        mean = (windows.loaded * voltage.conj()).real / np.maximum(np.abs(voltage) ** 2, TINY)
+        ends = 1.5 * (windows.held * (at.currents * at.turn).conj()).real
+        half = np.maximum(0.5 * np.abs(ends[:, 1] - ends[:, 0]), TINY)
+        return [-voltage * np.clip(0.5 - 0.5 * mean / half, 0.0, 1.0)]  # the share of a line that is negative
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield found.entry("link_rise", found.value[0], found.sigma[0], "1")
+
+
 @dataclass(frozen=True, eq=False)
 class RippleShape:
     """The voltage in windows, as the columns of a ripple of any frequency need it; build it by :meth:`of`.

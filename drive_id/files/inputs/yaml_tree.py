@@ -43,6 +43,12 @@ def load_yaml(text: str, most: int = MOST_ENTRIES, look: Callable[[yaml.Node], N
         loader.dispose()
 
 
+def line_of(error: Exception) -> int:
+    """Return the line, from 1, in which a text turned out to be no YAML; 0 where it is not known."""
+    mark = getattr(error, "problem_mark", None)
+    return mark.line + 1 if mark else 0
+
+
 def _check_text(text: str, most: int) -> None:
     """Check a text before its document is built: libyaml crashes on deep nesting, and PyYAML recurses."""
     try:

@@ -35,10 +35,6 @@ def _opened(path: Path, kind: str) -> ColumnLog:
         from drive_id.files.logs.tables import ArrowLog, CsvLog, JsonLog  # noqa: PLC0415  # pandas takes a second to load
 
         return {"csv": CsvLog, "jsonl": JsonLog}[kind](path) if kind in ("csv", "jsonl") else ArrowLog(path, kind)
-    if kind == "mat":
-        return MatLog(path)
-    if kind == "npz":
-        return NpzLog(path)
     if kind in ("mat73", "hdf5"):
         return Hdf5Log(path, matlab=kind == "mat73")
-    return MdfLog(path) if kind == "mdf" else TdmsLog(path)
+    return {"mat": MatLog, "npz": NpzLog, "mdf": MdfLog, "tdms": TdmsLog}[kind](path)

@@ -327,9 +327,8 @@ class SignalBuilder:
         """Return the declared period, s, of messages of up to ``largest`` samples."""
         if self.period is None:
             raise SamplePeriodError(
-                f"Messages on {self.topic} hold up to {counted(largest, 'sample')}: give their "
-                f"sample_period in section "
-                f"'{self.section}' of the signals file."
+                f"Messages on {self.topic} hold up to {counted(largest, 'sample')}: give their sample_period in "
+                f"section '{self.section}' of the signals file."
             )
         if self.period * largest * 1e9 > STAMP_LIMIT:
             raise SamplePeriodError(

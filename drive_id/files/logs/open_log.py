@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -37,4 +37,5 @@ def _opened(path: Path, kind: str) -> ColumnLog:
         return {"csv": CsvLog, "jsonl": JsonLog}[kind](path) if kind in ("csv", "jsonl") else ArrowLog(path, kind)
     if kind in ("mat73", "hdf5"):
         return Hdf5Log(path, matlab=kind == "mat73")
-    return {"mat": MatLog, "npz": NpzLog, "mdf": MdfLog, "tdms": TdmsLog}[kind](path)
+    kinds: dict[str, Callable[[Path], ColumnLog]] = {"mat": MatLog, "npz": NpzLog, "mdf": MdfLog, "tdms": TdmsLog}
+    return kinds[kind](path)

@@ -96,9 +96,11 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
         )
     choice = _chosen(currents, voltages, angles, tables)
     if choice is None:
+        sets = [", ".join(found.group.names) for found in groups]
+        seen = f" (there {'is' if len(sets) == 1 else 'are'} {' and '.join(sets[:2])})"
         raise ConfigurationError(
             f"{contents.path} holds no two sets of phase quantities that share their time with an angle"
-            f"{_seen(groups)}{blank}: write the signals file by hand, from "
+            f"{seen}{blank}: write the signals file by hand, from "
             "config/signals_example_stranger.yaml or signals_example_columns.yaml."
         )
     return tables, _between_phases(choice, tables)
@@ -118,12 +120,6 @@ def _between_phases(choice: Choice, tables: Sequence[Table]) -> Choice:
     other = _read(choice.currents, lines, choice.angle, dc_link(tables, taken))
     straight = other is not None and other.reading.voltage_order == (0, 1, 2) and other.reading.voltage_sign > 0
     return other if other and straight and other.reading.unexplained < _BETWEEN * left else choice
-
-
-def _seen(groups: Sequence[PhaseGroup]) -> str:
-    """Return the clause that names the phase quantities that were found; empty if there are none."""
-    found = [", ".join(found.group.names) for found in groups]
-    return f" (there {'is' if len(found) == 1 else 'are'} {' and '.join(found[:2])})" if found else ""
 
 
 def blank_columns(contents: Contents) -> str:

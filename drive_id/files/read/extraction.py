@@ -350,10 +350,9 @@ class SignalBuilder:
                     f"A message on {self.topic} stamped {np.min(piece.stamp)} ns declares a sample period of {period} "
                     "s: correct its publisher, or give the period in a signals file."
                 )
-            declared = self.period or period
-            if abs(period - declared) > _SAME_PERIOD * declared:
+            if abs(period - self.period) > _SAME_PERIOD * self.period:
                 raise SamplePeriodError(
-                    f"The sample period of {self.topic} changes from {declared} to {period} s at stamp "
+                    f"The sample period of {self.topic} changes from {self.period} to {period} s at stamp "
                     f"{np.min(piece.stamp)} ns: record each rate in a bag of its own."
                 )
 

@@ -19,7 +19,7 @@ from drive_id.files.storage.bag import present_files
 from drive_id.files.storage.container import MCAP_MAGIC, SQLITE_MAGIC, read_magic, unpack_file
 from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records
 from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, read_metadata, write_metadata
-from drive_id.files.write.rosbag2_writer import McapOutput, whole_or_nothing
+from drive_id.files.write.rosbag2_writer import McapOutput, open_unbuffered, whole_or_nothing
 
 _LIBRARY = "drive_id recover"
 _NUMBER = re.compile(r"_(\d+)\.mcap")
@@ -113,7 +113,9 @@ class _Copy:
     def __init__(self, source: McapFile, shown: Path, target: Path, topics: dict[str, TopicEntry]) -> None:
         header = source.header()
         profile = header.profile if header else ""
-        self.output = McapOutput(target, chunk_size=_CHUNK_SIZE, profile=profile, library=_LIBRARY)
+        self.output = McapOutput(
+            target, open_unbuffered, chunk_size=_CHUNK_SIZE, compression="zstd", library=_LIBRARY, profile=profile
+        )
         self.entry = self.output.entry
         self.damage: list[str] = []
         self.distro = ""

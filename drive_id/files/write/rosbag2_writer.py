@@ -99,14 +99,7 @@ class McapOutput:
     """A file being written, or complete. All methods raise OSError when the disk refuses."""
 
     def __init__(
-        self,
-        path: Path,
-        *,
-        chunk_size: int,
-        compression: str = "zstd",
-        profile: str = "ros2",
-        library: str = LIBRARY,
-        opener: FileOpener = open_unbuffered,
+        self, path: Path, opener: FileOpener, *, chunk_size: int, compression: str, library: str, profile: str = "ros2"
     ) -> None:
         self.path = path
         self.entry = FileEntry(path.name)
@@ -221,7 +214,7 @@ class Rosbag2McapWriter:
         self.path = path
         library = RECORDER_LIBRARY if live else LIBRARY
         self._new_file = partial(
-            McapOutput, chunk_size=chunk_size, compression=compression, library=library, opener=opener
+            McapOutput, opener=opener, chunk_size=chunk_size, compression=compression, library=library
         )
         self._distro = ros_distro
         self._topics: dict[str, TopicEntry] = {}

@@ -16,10 +16,9 @@ from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.inspection.clock import FEWEST, PERIODS, numbered, regular_stamps, timed, together
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.counts import zero_reading
-from drive_id.inspection.duty import full_scale
 from drive_id.inspection.names import NameGroup, name_groups, suggests, words
 from drive_id.inspection.points import AngleColumn, PhaseGroup, angle_points, current_points, dc_link, voltage_points
+from drive_id.inspection.scales import full_scale, zero_reading
 from drive_id.types import FloatArray, Samples
 
 _SPAN = 1 << 13
@@ -86,19 +85,22 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     angles = sorted((found for table in tables for found in _angles(table)), key=angle_points, reverse=True)
     currents = sorted(groups, key=current_points, reverse=True)
     voltages = sorted(groups, key=voltage_points, reverse=True)
+    blank = f" ({said})" if (said := blank_columns(contents)) else ""
     kinds = (("three balanced currents or voltages", groups), ("a rotor angle", angles))
     missing = [what for what, found in kinds if not found]
     if missing:
         raise ConfigurationError(
-            f"Nothing in {contents.path} looks like {' or '.join(missing)}{_blank(contents)}: write the signals file "
+            f"Nothing in {contents.path} looks like {' or '.join(missing)}{blank}: write the signals file "
             "by hand, from config/signals_example_stranger.yaml or signals_example_columns.yaml, or without an angle "
             "for a slow log in d and q, as in docs/logs.md."
         )
     choice = _chosen(currents, voltages, angles, tables)
     if choice is None:
+        sets = [", ".join(found.group.names) for found in groups]
+        seen = f" (there {'is' if len(sets) == 1 else 'are'} {' and '.join(sets[:2])})"
         raise ConfigurationError(
             f"{contents.path} holds no two sets of phase quantities that share their time with an angle"
-            f"{_seen(groups)}{_blank(contents)}: write the signals file by hand, from "
+            f"{seen}{blank}: write the signals file by hand, from "
             "config/signals_example_stranger.yaml or signals_example_columns.yaml."
         )
     return tables, _between_phases(choice, tables)
@@ -120,22 +122,10 @@ def _between_phases(choice: Choice, tables: Sequence[Table]) -> Choice:
     return other if other and straight and other.reading.unexplained < _BETWEEN * left else choice
 
 
-def _seen(groups: Sequence[PhaseGroup]) -> str:
-    """Return the clause that names the phase quantities that were found; empty if there are none."""
-    found = [", ".join(found.group.names) for found in groups]
-    return f" (there {'is' if len(found) == 1 else 'are'} {' and '.join(found[:2])})" if found else ""
-
-
 def blank_columns(contents: Contents) -> str:
     """Return what names columns whose values are all blank or invalid; empty if there are none."""
     blank = [name for table in contents.tables for name, x in table.columns.items() if len(x) and np.isnan(x).all()]
     return f"{', '.join(blank[:3])} without a valid value" if blank else ""
-
-
-def _blank(contents: Contents) -> str:
-    """Return a clause of them; empty if there are none."""
-    blank = blank_columns(contents)
-    return f" ({blank})" if blank else ""
 
 
 # -- recognizing ---------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ import numpy as np
 
 from drive_id.core.signals.equal_spacing import equal_spacing
 from drive_id.core.signals.restarts import Restarts
-from drive_id.files.logs.seconds import seconds_columns
+from drive_id.files.logs.column_log import seconds_columns
 from drive_id.files.messages.signal_sources import STAMP_UNITS
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import suggests, time_unit

@@ -17,10 +17,9 @@ from drive_id.files.messages.signal_sources import SPEED_UNITS
 from drive_id.inspection.choice import Choice, blank_columns, choose
 from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.counts import is_whole, zero_reading
-from drive_id.inspection.duty import full_scale
 from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
+from drive_id.inspection.scales import full_scale, is_whole, zero_reading
 from drive_id.inspection.static_draft import is_slow, static_draft
 from drive_id.types import FloatArray
 

@@ -73,9 +73,8 @@ class CurrentControl:
             )
         if self.lowered:
             out.append(
-                f"At {counted(self.lowered, 'point')} the gain is more than {100 * (1 - _TOLD):.0f} "
-                f"% lower than that of the "
-                "inductance there, so that it is not too high between the points."
+                f"At {counted(self.lowered, 'point')} the gain is more than {100 * (1 - _TOLD):.0f} % lower than that "
+                "of the inductance there, so that it is not too high between the points."
             )
         return tuple(out)
 
@@ -109,14 +108,10 @@ class _Places:
 
     table: MapTable
 
-    @property
-    def counts(self) -> tuple[int, int]:
-        return len(self.table.i_d), len(self.table.i_q)
-
     @cached_property
     def parts(self) -> tuple[int, int]:
         """In how many equal parts each cell is divided along both axes."""
-        d, q = (max(_FEWEST, _SUM // (count - 1)) for count in self.counts)
+        d, q = (max(_FEWEST, _SUM // (len(axis) - 1)) for axis in (self.table.i_d, self.table.i_q))
         return d, q
 
     @cached_property

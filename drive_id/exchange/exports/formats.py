@@ -17,9 +17,6 @@ Writer = Callable[[MapTable, ExportOptions], bytes]
 """Returns the content of a file; raises ConfigurationError when the format cannot hold the table."""
 
 
-_NAN = "they are marked as NaN"
-
-
 @dataclass(frozen=True)
 class ExportFormat:
     """A format of exported files."""
@@ -28,7 +25,7 @@ class ExportFormat:
     suffix: str  # usual end of the file's name
     write: Writer
     grid: bool = True  # it holds tables over the current plane, not a few numbers
-    gaps: str = _NAN  # what becomes of points without data; empty: they hold a continuation
+    gaps: str = "they are marked as NaN"  # what becomes of points without data; empty: they hold a continuation
     refines: bool = False  # it refines the table where it needs to
     simulated: bool = True  # it holds the nearest monotone map where the map itself folds: solvers fail on folds
 

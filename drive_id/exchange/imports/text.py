@@ -33,7 +33,8 @@ def read_csv(source: Source) -> MapPoints:
         return _matrices(source, source.psi_q_file)
     heading, rows, told = _table(source.path)
     places = _places(source, heading, rows.shape[1])
-    values = {name: rows[:, place] * _unit(heading, place) for name, place in places.items()}
+    milli = {place for place in places.values() if heading and _MILLI.search(heading[place])}
+    values = {name: rows[:, place] * (1e-3 if place in milli else 1.0) for name, place in places.items()}
     scalars = known_scalars(told, source.scalars)
     machine = str(told.get("machine", ""))
     i_dq, psi_dq = (np.stack([values[a], values[b]], axis=-1) for a, b in (_NEEDED[:2], _NEEDED[2:]))
@@ -48,11 +49,6 @@ def read_csv(source: Source) -> MapPoints:
         turning = np.radians(source.electrical(values["theta"]))
         return turning_points(source.path, i_dq, psi_dq, turning, values.get("torque"), scalars, machine)
     return MapPoints(i_dq, psi_dq[..., None], None, values.get("torque"), sigma, scalars, machine=machine).complete()
-
-
-def _unit(heading: list[str] | None, place: int) -> float:
-    """Return the factor to SI units of a column whose heading names its unit."""
-    return 1e-3 if heading is not None and _MILLI.search(heading[place]) else 1.0
 
 
 def _places(source: Source, heading: list[str] | None, count: int) -> dict[str, int]:
@@ -136,7 +132,7 @@ def _table(path: Path) -> tuple[list[str] | None, FloatArray, dict[str, Any]]:
     if not lines:
         raise ConfigurationError(f"'{path}' is empty: give a file with one row for each point.")
     heading = None
-    if not _is_numeric(_split(lines[0])):
+    if not all(isinstance(_number(entry), float) for entry in _split(lines[0]) if entry):
         heading = [name.strip().strip('"') for name in _split(lines[0])]
         lines = lines[1:]
         if lines and not any(isinstance(_number(entry), float) for entry in _split(lines[0])):
@@ -154,10 +150,6 @@ def _split(line: str) -> list[str]:
         if separator in line:
             return [entry.strip() for entry in line.split(separator)]
     return line.split()
-
-
-def _is_numeric(entries: list[str]) -> bool:
-    return all(isinstance(_number(entry), float) for entry in entries if entry)
 
 
 def _numbers(path: Path, lines: list[str]) -> FloatArray:

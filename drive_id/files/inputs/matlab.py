@@ -33,14 +33,13 @@ def load_matlab(path: Path, shown: str, names: Sequence[str] | None = None) -> M
     Raises ConfigurationError when it cannot be read, with a sentence that begins with ``shown``.
     """
     try:
-        content = read_matlab(path, names)
+        return read_matlab(path, names)
     except NotImplementedError as error:
         raise ConfigurationError(f"{shown} has MATLAB's version 7.3: save it with '-v7'.") from error
     except MemoryError:
         raise
     except Exception as error:  # scipy raises many types on damaged files
         raise ConfigurationError(f"{shown} is damaged or not a MATLAB file: export it again.") from error
-    return content
 
 
 def read_matlab(path: Path, names: Sequence[str] | None = None, limit: int | None = None) -> Mapping[str, Any]:

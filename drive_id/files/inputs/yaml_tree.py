@@ -29,7 +29,14 @@ def load_yaml(text: str, most: int = MOST_ENTRIES, look: Callable[[yaml.Node], N
     Raises yaml.YAMLError when it is not YAML, ValueError when it has more entries (aliases stand for what they repeat),
     is nested too deeply or holds an endless number.
     """
-    _check_text(text, most)
+    try:  # before its document is built: libyaml crashes on deep nesting, and PyYAML recurses
+        _check_events(text, most, _FASTEST)
+    except yaml.YAMLError as error:
+        if len(text) < _SHORT:
+            _check_events(text, most, yaml.SafeLoader)  # tells the line better than libyaml
+        if getattr(error, "problem", None) == _LIBYAML_TOO_DEEP:  # by its scanner, before it tells of any depth
+            raise ValueError(_TOO_DEEP) from error
+        raise
     loader = _FASTEST(text)
     try:
         node = loader.get_single_node()
@@ -43,16 +50,10 @@ def load_yaml(text: str, most: int = MOST_ENTRIES, look: Callable[[yaml.Node], N
         loader.dispose()
 
 
-def _check_text(text: str, most: int) -> None:
-    """Check a text before its document is built: libyaml crashes on deep nesting, and PyYAML recurses."""
-    try:
-        _check_events(text, most, _FASTEST)
-    except yaml.YAMLError as error:
-        if len(text) < _SHORT:
-            _check_events(text, most, yaml.SafeLoader)  # tells the line better than libyaml
-        if getattr(error, "problem", None) == _LIBYAML_TOO_DEEP:  # by its scanner, before it tells of any depth
-            raise ValueError(_TOO_DEEP) from error
-        raise
+def line_of(error: Exception) -> int:
+    """Return the line, from 1, in which a text turned out to be no YAML; 0 where it is not known."""
+    mark = getattr(error, "problem_mark", None)
+    return mark.line + 1 if mark else 0
 
 
 def _check_events(text: str, most: int, loader: type) -> None:

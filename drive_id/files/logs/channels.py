@@ -88,7 +88,8 @@ class TdmsLog(_StreamLog):
         self._open(path, TdmsFile.open)
         self._channels: dict[Column, Any] = {}
         self._timing: dict[str, _Timing] = {}
-        channels = [channel for group in self._file.groups() for channel in group.channels() if _holds_numbers(channel)]
+        every = (channel for group in self._file.groups() for channel in group.channels() if channel.dtype is not None)
+        channels = [channel for channel in every if np.dtype(channel.dtype).kind in f"{NUMBERS}M"]
         starts = [x for channel in channels if (x := _start_time(channel)) is not None]
         first = min(starts, default=np.datetime64(0, "ns"))
         members: dict[tuple[str, _Timing | None], list[Any]] = {}
@@ -140,7 +141,3 @@ class _Timing:
 def _start_time(channel: Any) -> np.datetime64 | None:
     start = channel.properties.get("wf_start_time")
     return start.astype("datetime64[ns]") if isinstance(start, np.datetime64) and not np.isnat(start) else None
-
-
-def _holds_numbers(channel: Any) -> bool:
-    return channel.dtype is not None and np.dtype(channel.dtype).kind in f"{NUMBERS}M"

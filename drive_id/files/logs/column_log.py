@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,18 +24,17 @@ NUMBERS = "iufb"
 _NUMBER = 8
 """Bytes."""
 _NAMES = {
-    "csv": "CSV",
     "jsonl": "JSON lines",
     "npz": "NumPy .npz",
     "parquet": "Parquet",
     "feather": "Feather",
-    "tdms": "TDMS",
-    "mdf": "MDF",
     "mat": "MATLAB",
     "mat73": "MATLAB",
-    "hdf5": "HDF5",
 }
+"""Names of kinds that are not those of the kinds in capitals, such as CSV."""
 _MOST_NAMED = 12  # columns or groups in a message: two lines of a terminal
+_SECONDS = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanoseconds"), ("s", "ns"))
+"""Ends of the names of seconds and nanoseconds in two columns, as ROS 2, ROS 1, Linux and others write them."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +82,6 @@ class ColumnLog(ABC):
     warnings: tuple[Message, ...] = ()
     """As of a bag, which has several files, too."""
 
-    @property
-    def files(self) -> tuple[Path, ...]:
-        """The file itself."""
-        return (self.path,)
-
     def parts(self, wanted: Sequence[Column], rows: int = ROWS) -> Iterator[Rows]:
         """Yield the wanted columns, parts of some ``rows``; groups of different length advance together in time.
 
@@ -127,22 +121,23 @@ class SlicedLog(ColumnLog):
 @contextmanager
 def one_sentence(path: Path, kind: str) -> Iterator[None]:
     """Turn what the libraries raise for damaged files into one error."""
+    name = _NAMES.get(kind, kind.upper())
     try:
         yield
     except (DriveIdError, MemoryError):
         raise
     except ImportError as error:
         raise NotABagError(
-            f"{path} is a {_NAMES[kind]} file, and {error.name} is not installed, which reads it: run pip install "
+            f"{path} is a {name} file, and {error.name} is not installed, which reads it: run pip install "
             "'drive_id[containers]'."
         ) from error
     except OSError as error:
         said = reason(error) if error.strerror else " ".join(str(error).split())[:160]
-        raise TruncatedBagError(f"{path} cannot be read as a {_NAMES[kind]} file ({said}): check the file.") from error
+        raise TruncatedBagError(f"{path} cannot be read as a {name} file ({said}): check the file.") from error
     except Exception as error:  # the libraries raise anything from damaged files
         said = " ".join(str(error).split())[:160] or type(error).__name__
         raise TruncatedBagError(
-            f"{path} cannot be read as a {_NAMES[kind]} file ({said}): it is damaged or of another kind."
+            f"{path} cannot be read as a {name} file ({said}): it is damaged or of another kind."
         ) from error
 
 
@@ -185,3 +180,18 @@ def find_column(log: ColumnLog, name: str, group: str, wanted_for: str) -> Colum
 def same_name(one: str, other: str) -> bool:
     """Tell whether two names are the same, structs and groups divided by a dot or a slash."""
     return one.strip("/").replace("/", ".") == other.strip("/").replace("/", ".")
+
+
+def seconds_columns(stamp: str, names: Collection[str]) -> tuple[str, ...]:
+    """Return the columns of seconds and nanoseconds that a time has among ``names``; nothing for one of one column.
+
+    ``stamp`` is the column of the seconds, or what the names of both begin with: ``header.stamp``.
+    """
+    for end, other in _SECONDS:
+        stem, last = stamp[: -len(end)], stamp[-len(end) :]
+        if last.lower() == end and not stem[-1:].isalnum() and {stamp, stem + other} <= set(names):
+            return stamp, stem + other
+        for sign in "._/":
+            if {f"{stamp}{sign}{end}", f"{stamp}{sign}{other}"} <= set(names):
+                return f"{stamp}{sign}{end}", f"{stamp}{sign}{other}"
+    return ()

@@ -65,9 +65,8 @@ def csv_dialect(path: Path) -> CsvDialect:
     names, first = (len(_cells(line, ",")) for line in (*lines, "", "")[:2])
     if first > names > 1:
         raise MessageTypeError(
-            f"{path} has {counted(first, 'cell')} below {names} names, as if commas separated "
-            f"columns and were decimal signs as "
-            "well: write decimal points, or separate columns by semicolons."
+            f"{path} has {counted(first, 'cell')} below {names} names, as if commas separated columns and were decimal "
+            "signs as well: write decimal points, or separate columns by semicolons."
         )
     raise MessageTypeError(
         f"{path} is not a table of numbers below a line with the names of its columns: add such a line."

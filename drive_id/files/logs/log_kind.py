@@ -92,7 +92,11 @@ def _text_kind(head: bytes) -> str:
 
 
 def _zip_kind(path: Path) -> str:
-    names = _zip_members(path)
+    try:
+        with open_input(path) as stream, zipfile.ZipFile(stream) as archive:
+            names = [info.filename for info in archive.infolist() if not info.is_dir()]
+    except (OSError, ValueError, zipfile.BadZipFile) as error:
+        raise NotABagError(f"{path} is a damaged zip archive: copy it again from its origin.") from error
     if "[Content_Types].xml" in names:
         _refuse(path, "is an Excel workbook", "save its sheet as CSV")
     if names and all(name.endswith(".npy") for name in names):
@@ -103,7 +107,11 @@ def _zip_kind(path: Path) -> str:
 
 
 def _packed_kind(path: Path) -> str:
-    kind = _text_kind(_unpacked_head(path))
+    try:
+        with text_stream(path) as (stream, _):
+            kind = _text_kind(stream.read(_HEAD))
+    except (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zlib.error, zipfile.BadZipFile) as error:
+        raise NotABagError(f"{path} cannot be unpacked: copy it again from its origin.") from error
     if not kind:
         _refuse(path, "is packed and holds no text", "unpack it, and give what it holds")
     return kind
@@ -111,22 +119,6 @@ def _packed_kind(path: Path) -> str:
 
 def _refuse(path: Path, what: str, remedy: str) -> NoReturn:
     raise NotABagError(f"{path} {what}, which is not read: {remedy}.")
-
-
-def _zip_members(path: Path) -> list[str]:
-    try:
-        with open_input(path) as stream, zipfile.ZipFile(stream) as archive:
-            return [info.filename for info in archive.infolist() if not info.is_dir()]
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise NotABagError(f"{path} is a damaged zip archive: copy it again from its origin.") from error
-
-
-def _unpacked_head(path: Path) -> bytes:
-    try:
-        with text_stream(path) as (stream, _):
-            return stream.read(_HEAD)
-    except (OSError, EOFError, ValueError, RuntimeError, NotImplementedError, zlib.error, zipfile.BadZipFile) as error:
-        raise NotABagError(f"{path} cannot be unpacked: copy it again from its origin.") from error
 
 
 @contextmanager
@@ -139,11 +131,9 @@ def text_stream(path: Path) -> Iterator[tuple[IO[bytes], IO[bytes]]]:
             with gzip.GzipFile(fileobj=file) as text:
                 yield cast(IO[bytes], text), file
         elif magic.startswith(_ZIP):
-            with zipfile.ZipFile(file) as archive, archive.open(_member(archive)) as text:
-                yield text, file
+            with zipfile.ZipFile(file) as archive:
+                member = next(info for info in archive.infolist() if not info.is_dir())
+                with archive.open(member) as text:
+                    yield text, file
         else:
             yield file, file
-
-
-def _member(archive: zipfile.ZipFile) -> zipfile.ZipInfo:
-    return next(info for info in archive.infolist() if not info.is_dir())

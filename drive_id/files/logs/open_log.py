@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
 
@@ -35,10 +35,7 @@ def _opened(path: Path, kind: str) -> ColumnLog:
         from drive_id.files.logs.tables import ArrowLog, CsvLog, JsonLog  # noqa: PLC0415  # pandas takes a second to load
 
         return {"csv": CsvLog, "jsonl": JsonLog}[kind](path) if kind in ("csv", "jsonl") else ArrowLog(path, kind)
-    if kind == "mat":
-        return MatLog(path)
-    if kind == "npz":
-        return NpzLog(path)
     if kind in ("mat73", "hdf5"):
         return Hdf5Log(path, matlab=kind == "mat73")
-    return MdfLog(path) if kind == "mdf" else TdmsLog(path)
+    kinds: dict[str, Callable[[Path], ColumnLog]] = {"mat": MatLog, "npz": NpzLog, "mdf": MdfLog, "tdms": TdmsLog}
+    return kinds[kind](path)

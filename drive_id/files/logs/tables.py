@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from drive_id.errors import MessageTypeError
 from drive_id.files.inputs.input_file import open_input
 from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, ColumnLog, Rows
-from drive_id.files.logs.csv_dialect import INFINITE, CsvDialect, csv_dialect
+from drive_id.files.logs.csv_dialect import INFINITE, csv_dialect
 from drive_id.files.logs.log_kind import text_stream
 from drive_id.files.storage.container import UnpackBudget
 
@@ -62,9 +62,10 @@ class CsvLog(FrameLog):
         self.path = path
         self._dialect = dialect = csv_dialect(path)
         self._decimal = dialect.decimal
+        types = [f"number [{unit}]" if unit else "number" for unit in dialect.units or [""] * len(dialect.names)]
         every = [k for k in range(len(dialect.names)) if k not in dialect.blank]
         self.groups = tuple(
-            ColumnGroup(name, {dialect.names[k]: _type(dialect, k) for k in columns}, None, dialect.period is not None)
+            ColumnGroup(name, {dialect.names[k]: types[k] for k in columns}, None, dialect.period is not None)
             for name, columns in dialect.groups or (("", every),)
         )
 
@@ -111,11 +112,6 @@ class CsvLog(FrameLog):
                 for k in set(dialect.ticks) & set(numbers):
                     chunk[k] = (pd.to_numeric(chunk[k], errors="coerce") - _FILETIME_1970) * 100
                 yield chunk.rename(columns=numbers), min(file.tell() / size, 1.0)
-
-
-def _type(dialect: CsvDialect, k: int) -> str:
-    """Return the type of a column, with its unit if the file gives it: ``number [ms]``."""
-    return f"number [{dialect.units[k]}]" if dialect.units and dialect.units[k] else "number"
 
 
 class JsonLog(FrameLog):

@@ -29,17 +29,12 @@ _DEFAULT_SPEED = 3000.0  # rpm, up to which the default DC-link voltage suffices
 
 
 def read_machine(
-    path: str | os.PathLike[str],
-    *,
-    resistance: float | None = None,
-    pole_pairs: int | None = None,
-    i_max: float | None = None,
-    u_dc: float | None = None,
+    path: str | os.PathLike[str], *, pole_pairs: int | None = None, u_dc: float | None = None
 ) -> MachineMap:
     """Read a machine file: an ``.npz`` file, or a ``.mat`` file of SyR-e (up to MATLAB's version 7).
 
-    Resistance, ohm, pole pairs, i_max, A, and u_dc, V, replace the file's values. Without ``i_max``, the radius of the
-    disc that the map covers is used; without ``u_dc``, enough voltage for 3000 rpm.
+    Pole pairs and u_dc, V, replace the file's values. Without ``i_max`` in it, the radius of the disc that the map
+    covers is used; without ``u_dc``, enough voltage for 3000 rpm.
 
     The axes of the map increase. A map over i_q >= 0 only is mirrored: psi_d(-i_q, -theta) = psi_d(i_q, theta) and
     psi_q(-i_q, -theta) = -psi_q(i_q, theta).
@@ -62,7 +57,7 @@ def read_machine(
         values = sr_to_pm(values) if axis == "sr" else values
     else:
         raise ConfigurationError(f"Machine file '{path}' must end in .npz, or .mat for one of SyR-e.")
-    given = {"R": resistance, "pole_pairs": pole_pairs, "i_max": i_max, "u_dc": u_dc}
+    given = {"pole_pairs": pole_pairs, "u_dc": u_dc}
     values |= {key: np.asarray(value) for key, value in given.items() if value is not None}
     return _build(path, values)
 

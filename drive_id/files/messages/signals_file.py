@@ -18,7 +18,7 @@ import yaml
 from drive_id.common.settings import from_mapping
 from drive_id.errors import ConfigurationError
 from drive_id.files.inputs.input_file import read_text_input, reason
-from drive_id.files.inputs.yaml_tree import load_yaml
+from drive_id.files.inputs.yaml_tree import line_of, load_yaml
 from drive_id.files.messages.signal_sources import (
     BY_DC_LINK,
     TYPESTORES,
@@ -94,17 +94,11 @@ def parse_signals(text: str, where: str) -> SignalMap:
             f"typestore in {where} is '{values['typestore']}': it must be one of {', '.join(TYPESTORES)}."
         )
     values["definitions"] = _definitions(tree.get("definitions", {}), where)
-    values["guessed"] = _guesses(text)
-    return SignalMap(**values)
-
-
-def _guesses(text: str) -> dict[str, int]:
-    """Return the settings that are marked EDIT, each with its first line."""
-    lines: dict[str, int] = {}
+    values["guessed"] = {}  # each with its first line
     for number, line in enumerate(text.splitlines(), 1):
-        if (marked := _GUESS.match(line)) is not None:
-            lines.setdefault(marked[1], number)
-    return lines
+        if marked := _GUESS.match(line):
+            values["guessed"].setdefault(marked[1], number)
+    return SignalMap(**values)
 
 
 def _common(tree: dict[str, Any], section: str) -> dict[str, Any]:
@@ -214,8 +208,7 @@ def _parsed_yaml(text: str, where: str) -> tuple[dict[str, Any], dict[str, int]]
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         if isinstance(error, ValueError) and not isinstance(error, UnicodeError):
             raise ConfigurationError(f"{where} cannot be read as YAML ({error}): correct it.") from error
-        mark = getattr(error, "problem_mark", None)
-        line = f" in line {mark.line + 1}" if mark else ""
+        line = f" in line {number}" if (number := line_of(error)) else ""
         raise ConfigurationError(f"{where} is not YAML{line}: correct its indentation and punctuation.") from error
     tree = {} if tree is None else tree
     if not isinstance(tree, dict):

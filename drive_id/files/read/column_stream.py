@@ -15,9 +15,16 @@ from drive_id.common.messages import Message
 from drive_id.common.quantity import counted
 from drive_id.core.signals.restarts import Restarts
 from drive_id.errors import ConfigurationError, MessageTypeError, MissingTopicError
-from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, ColumnLog, Rows, find_column
+from drive_id.files.logs.column_log import (
+    NUMBERS,
+    OWN_TIME,
+    Column,
+    ColumnLog,
+    Rows,
+    find_column,
+    seconds_columns,
+)
 from drive_id.files.logs.open_log import open_log
-from drive_id.files.logs.seconds import seconds_columns
 from drive_id.files.messages.field_path import FieldPathError
 from drive_id.files.messages.message_reader import MessageSamples, ticks_to_ns
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
@@ -141,7 +148,8 @@ def _located(log: ColumnLog, source: TimeSource, name: str) -> _Section:
         )
     stamp: tuple[Column, ...] = ()
     if source.stamp not in NAMED_STAMPS:
-        stamp = _stamp_columns(log, source, group, name)
+        stamp = tuple(Column(group.name, column) for column in seconds_columns(source.stamp, group.columns))
+        stamp = stamp or (find_column(log, source.stamp, source.group or group.name, name),)
     elif source.stamp != "index":
         if group.own_time:
             stamp = (Column(group.name, OWN_TIME),)
@@ -156,14 +164,6 @@ def _located(log: ColumnLog, source: TimeSource, name: str) -> _Section:
     period = source.sample_period
     period_column = find_column(log, period, source.group, name) if isinstance(period, str) else None
     return _Section(source, values, stamp, count, period_column)
-
-
-def _stamp_columns(log: ColumnLog, source: TimeSource, group: ColumnGroup, name: str) -> tuple[Column, ...]:
-    """Return the column of the time, and that of its nanoseconds where the log has one beside it."""
-    both = seconds_columns(source.stamp, group.columns)
-    if both:
-        return tuple(Column(group.name, column) for column in both)
-    return (find_column(log, source.stamp, source.group or group.name, name),)
 
 
 def _shown(columns: tuple[Column, ...]) -> str:

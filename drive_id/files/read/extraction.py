@@ -327,9 +327,8 @@ class SignalBuilder:
         """Return the declared period, s, of messages of up to ``largest`` samples."""
         if self.period is None:
             raise SamplePeriodError(
-                f"Messages on {self.topic} hold up to {counted(largest, 'sample')}: give their "
-                f"sample_period in section "
-                f"'{self.section}' of the signals file."
+                f"Messages on {self.topic} hold up to {counted(largest, 'sample')}: give their sample_period in "
+                f"section '{self.section}' of the signals file."
             )
         if self.period * largest * 1e9 > STAMP_LIMIT:
             raise SamplePeriodError(
@@ -351,10 +350,9 @@ class SignalBuilder:
                     f"A message on {self.topic} stamped {np.min(piece.stamp)} ns declares a sample period of {period} "
                     "s: correct its publisher, or give the period in a signals file."
                 )
-            declared = self.period or period
-            if abs(period - declared) > _SAME_PERIOD * declared:
+            if abs(period - self.period) > _SAME_PERIOD * self.period:
                 raise SamplePeriodError(
-                    f"The sample period of {self.topic} changes from {declared} to {period} s at stamp "
+                    f"The sample period of {self.topic} changes from {self.period} to {period} s at stamp "
                     f"{np.min(piece.stamp)} ns: record each rate in a bag of its own."
                 )
 

@@ -13,11 +13,11 @@ from drive_id.common.messages import Message
 from drive_id.core.signals.signal import Signal
 from drive_id.core.steady.averaging import averaged
 from drive_id.core.steady.operating_data import OperatingData
-from drive_id.errors import ConfigurationError, DataError, NoOverlapError
+from drive_id.errors import ConfigurationError, NoOverlapError
 from drive_id.files.logs.open_log import open_log
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap
-from drive_id.files.read.reader import read_signals_only
-from drive_id.files.read.several import read_recording
+from drive_id.files.read.reader import naming, read_signals_only
+from drive_id.files.read.several import digests_of, read_recording
 from drive_id.types import BoolArray, FloatArray, GroundTruth, IntArray
 
 _TEMPERATURE = "winding_temperature"
@@ -65,15 +65,17 @@ def read_operating_log(path: Path, signals: SignalMap | None = None, *, namespac
     plain = {name: replace(getattr(known, name), angle="", angle_advance=0.0) for name in ("currents", "voltages")}
     needed = replace(known, **plain, reference=None)
     timed = not known.of_columns or _names_time(path, needed)
-    needed = needed if timed else _numbered(needed)
-    found, digests, warnings = read_signals_only(path, needed, namespace=namespace)
-    try:
+    if not timed:  # the number of the row is the time, for all sections alike
+        numbered: Any = partial(replace, stamp="index", sample_period=1.0)
+        rows = {name: numbered(getattr(needed, name)) for name in ("currents", "voltages", "resolver")}
+        optional = {name: numbered(entry) for name, entry in needed.optional.items()}
+        needed = replace(needed, **rows, optional=optional)
+    found, warnings = read_signals_only(path, needed, namespace=namespace)
+    with naming(path):
         data, last_stamp = _joined(found, known)
-    except DataError as error:
-        raise type(error)(f"In {path}: {error}") from error
     data, off = (data if timed else replace(data, time=None)).without_coasting()
     said = (Message("inverter_off", rows=off),) if off else ()
-    return OperatingLog(data, None, digests, last_stamp if timed else 0, (*warnings, *said))
+    return OperatingLog(data, None, digests_of([path]), last_stamp if timed else 0, (*warnings, *said))
 
 
 def _names_time(path: Path, signals: SignalMap) -> bool:
@@ -83,13 +85,6 @@ def _names_time(path: Path, signals: SignalMap) -> bool:
         return True
     with open_log(path) as log:
         return any(group.own_time for group in log.groups)
-
-
-def _numbered(signals: SignalMap) -> SignalMap:
-    """Take the number of the row as its time, for all sections alike."""
-    numbered: Any = partial(replace, stamp="index", sample_period=1.0)
-    rows = {name: numbered(getattr(signals, name)) for name in ("currents", "voltages", "resolver")}
-    return replace(signals, **rows, optional={name: numbered(entry) for name, entry in signals.optional.items()})
 
 
 def _joined(found: dict[str, Signal], signals: SignalMap) -> tuple[OperatingData, int]:

@@ -31,9 +31,9 @@ from drive_id.files.read.extraction import (
     UnusualError,
 )
 from drive_id.files.read.info import printable_errors
-from drive_id.files.storage.bag import Bag, file_digest, open_bag
+from drive_id.files.storage.bag import Bag, open_bag
 from drive_id.files.storage.container import TRUTH_ATTACHMENT, TopicInfo
-from drive_id.types import SCALARS, FloatArray, GroundTruth, IntArray
+from drive_id.types import SCALARS, GroundTruth
 
 CAPACITY = 1 << 20
 """Most samples of a signal to keep while others lag behind in the file; a bag that needs more is read as a whole."""
@@ -58,16 +58,14 @@ Item = TypeVar("Item")
 
 def read_signals_only(
     path: Path, signals: SignalMap, *, namespace: str = ""
-) -> tuple[dict[str, Signal], dict[str, str], tuple[Message, ...]]:
+) -> tuple[dict[str, Signal], tuple[Message, ...]]:
     """Read the signals of a log one by one, without joining them: a speed is enough, and no angle is needed.
 
-    Returns them by section, the sha256 of each file, and warnings. Raises BagError, DataError or ConfigurationError, as
+    Returns them by section, and warnings. Raises BagError, DataError or ConfigurationError, as
     :func:`~drive_id.files.read.several.read_recording` does.
     """
     with _opened(path, signals, namespace, angle=False) as (log, _, stream):
-        found = stream.whole()
-        warnings = (*log.warnings, *stream.remarks(), *guesses(signals))
-        return found, {str(file): file_digest(file) for file in log.files}, warnings
+        return stream.whole(), (*log.warnings, *stream.remarks(), *guesses(signals))
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +147,7 @@ def _joined_at_once(
     found = stream.whole(tell)
     if stream.divided:
         raise DividedError
-    with _naming(path):
+    with naming(path):
         resolver, angle_error, said = rotor_at_currents(found, signals)
         result = join(
             found["currents"],
@@ -165,8 +163,8 @@ def _joined_at_once(
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Add the path of the bag to errors of its samples."""
+def naming(path: Path) -> Iterator[None]:
+    """Add the path of the log to errors of its samples."""
     try:
         yield
     except DataError as error:
@@ -179,14 +177,14 @@ def _joined(
     """Yield joined samples; add the warnings at the end."""
     topics = stream.topics
     names = (topics["currents"].name, topics["voltages"].name, topics["resolver"].name)
-    references = _References()
+    held: HeldReferences | None = None  # references; none if the bag has no such topic
     joining = StreamJoin(
         names,
         batch=2 * CAPACITY,
         capacity=CAPACITY,
         locking=_LOCKING_PAIRS,
         recorded=True,
-        reference=references.at,
+        reference=lambda stamp, period: None if held is None else held.at(stamp, period),
         scalars={name: topics[name].name for name in INTERPOLATED if name in topics},
         scaled_by=signals.voltages.scaled_by,
         to_phases=conversions(signals),
@@ -196,7 +194,12 @@ def _joined(
         for part in parts:
             if stream.divided:
                 raise DividedError
-            references.add(part)  # one part ahead: a set-point may be stored behind the samples it is due at
+            if "reference" in part:  # one part ahead: a set-point may be stored behind the samples it is due at
+                period = part["reference"].sample_period
+                if period is None:
+                    raise UnusualError
+                held = held or HeldReferences(period)
+                held.add(part["reference"])
             for name in INTERPOLATED:
                 if name in part:
                     joining.add_scalar(name, part[name])
@@ -207,7 +210,7 @@ def _joined(
         yield from _advanced(path, joining, before)
     end, rest = joining.finished()
     yield from rest
-    with _naming(path):
+    with naming(path):
         end.check()
     warnings.extend((*end.report().warnings, *stream.remarks()))
 
@@ -216,33 +219,13 @@ def _advanced(path: Path, joining: StreamJoin, part: SignalPart) -> list[Piece]:
     for number, section in enumerate(SECTIONS):
         if section in part:
             joining.add(number, part[section])
-    with _naming(path):
+    with naming(path):
         pieces = joining.advance()
         if joining.failing:
             joining.finished()[0].check()
     if joining.late:
         raise UnusualError
     return pieces
-
-
-class _References:
-    """The current references; none if the bag has no such topic."""
-
-    def __init__(self) -> None:
-        self._held: HeldReferences | None = None
-
-    def add(self, part: SignalPart) -> None:
-        signal = part.get("reference")
-        if signal is None:
-            return
-        if self._held is None:
-            if signal.sample_period is None:
-                raise UnusualError
-            self._held = HeldReferences(signal.sample_period)
-        self._held.add(signal)
-
-    def at(self, stamp: IntArray, period: float) -> FloatArray | None:
-        return None if self._held is None else self._held.at(stamp, period)
 
 
 def find_topics(bag: Bag, signals: SignalMap, namespace: str = "") -> dict[str, TopicInfo]:

@@ -23,13 +23,13 @@ from drive_id.files.storage.container import (
     ZSTD_MAGIC,
     RawMessage,
     Storage,
-    TopicInfo,
     UnpackBudget,
     decompress,
     file_size,
     has_checksum,
     merged_topics,
     read_magic,
+    readable,
     unpack_file,
 )
 from drive_id.files.storage.mcap import McapStorage
@@ -51,7 +51,8 @@ class Bag:
     packed_with_checksum: bool  # all files are compressed as a whole, with a checksum of their content
 
     def __post_init__(self) -> None:
-        self.topics = self._merged_topics()
+        self.topics = merged_topics(topic for storage in self.storages for topic in storage.topics)
+        self._check_types()
         self._budget = UnpackBudget(sum(file_size(file) for file in self.files))
 
     def messages(self, topics: Collection[str]) -> Iterator[RawMessage]:
@@ -69,9 +70,8 @@ class Bag:
         for topic in topics:
             if topic in declared and declared[topic] != found[topic]:
                 raise MessageCountError(
-                    f"metadata.yaml of {self.path} declares {counted(declared[topic], 'message')} "
-                    f"on {topic} but its files hold "
-                    f"{found[topic]}: complete the folder, or rewrite metadata.yaml with 'ros2 bag reindex'."
+                    f"metadata.yaml of {self.path} declares {counted(declared[topic], 'message')} on {topic} but its "
+                    f"files hold {found[topic]}: complete the folder, or rewrite metadata.yaml with 'ros2 bag reindex'."
                 )
 
     @property
@@ -103,22 +103,18 @@ class Bag:
         found = (storage.attachment(name) for storage in self.storages)
         return next((data for data in found if data is not None), None)
 
-    def _merged_topics(self) -> dict[str, TopicInfo]:
-        merged = merged_topics(topic for storage in self.storages for topic in storage.topics)
-        for storage in self.storages:
-            for topic in storage.topics:
-                if topic.type_name != merged[topic.name].type_name:
-                    raise MessageTypeError(
-                        f"{topic.name} has type {merged[topic.name].type_name} in different files of {self.path}: give "
-                        "the files one by one."
-                    )
+    def _check_types(self) -> None:
+        for topic in (topic for storage in self.storages for topic in storage.topics):
+            if topic.type_name != (merged := self.topics[topic.name].type_name):
+                raise MessageTypeError(
+                    f"{topic.name} has type {merged} in different files of {self.path}: give the files one by one."
+                )
         for name, type_name in self.metadata.types.items() if self.metadata else ():
-            if name in merged and merged[name].type_name not in (type_name, ""):
+            if name in self.topics and self.topics[name].type_name not in (type_name, ""):
                 raise MessageTypeError(
                     f"metadata.yaml of {self.path} gives {name} the type {type_name} but its files say "
-                    f"{merged[name].type_name}: rewrite metadata.yaml with 'ros2 bag reindex'."
+                    f"{self.topics[name].type_name}: rewrite metadata.yaml with 'ros2 bag reindex'."
                 )
-        return merged
 
 
 @contextmanager
@@ -180,9 +176,9 @@ def storage_files(path: Path) -> tuple[tuple[Path, ...], BagMetadata | None]:
     Raises NotABagError when there is none, or ``metadata.yaml`` is unreadable or names other files than those that are
     there.
     """
-    with _readable(path):
+    present = _present(path)
+    with readable(path):
         described = path.is_dir() and (path / "metadata.yaml").exists()
-        present = _present(path)
     if not described:
         return present_files(path), None
     metadata = read_metadata(path / "metadata.yaml")
@@ -208,8 +204,7 @@ def present_files(path: Path) -> tuple[Path, ...]:
 
     Raises NotABagError when there is none.
     """
-    with _readable(path):
-        files = _present(path)
+    files = _present(path)
     if not files:
         if (path / "identification.json").exists():
             raise NotABagError(f"{path} is a result folder, not a recording: see it by drive-id info or report.")
@@ -217,22 +212,15 @@ def present_files(path: Path) -> tuple[Path, ...]:
     return tuple(files)
 
 
-@contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Raise NotABagError when a path does not exist or cannot be read."""
-    try:
+def _present(path: Path) -> list[Path]:
+    """Return the storage files of a folder in order, or the file itself; NotABagError when it cannot be read."""
+    with readable(path):
         if not path.exists():
             raise NotABagError(f"There is no {path}{'' if path.is_absolute() else ' here'}: check its name and folder.")
-        yield
-    except OSError as error:
-        raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error
-
-
-def _present(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    files = (entry for entry in path.iterdir() if entry.name.endswith(_ENDINGS) and entry.is_file())
-    return sorted(files, key=_natural)
+        if not path.is_dir():
+            return [path]
+        files = (entry for entry in path.iterdir() if entry.name.endswith(_ENDINGS) and entry.is_file())
+        return sorted(files, key=_natural)
 
 
 def _natural(path: Path) -> list[tuple[int, int, str]]:

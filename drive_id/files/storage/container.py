@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -112,15 +113,21 @@ class Storage(ABC):
         """Release the file."""
 
 
-def read_magic(path: Path, shown: Path) -> bytes:
-    """Return the first bytes of a file; NotABagError when it cannot be read."""
+@contextmanager
+def readable(shown: Path) -> Iterator[None]:
+    """Raise NotABagError, which names ``shown``, when the body cannot read it."""
     try:
-        with open_input(path) as stream:
-            return stream.read(18)
+        yield
     except NotAFileError as error:
         raise NotABagError(f"{shown} is not a file ({reason(error)}): give a rosbag2 file or folder.") from error
     except OSError as error:
         raise NotABagError(f"{shown} cannot be read ({reason(error)}): check the path and its permissions.") from error
+
+
+def read_magic(path: Path, shown: Path) -> bytes:
+    """Return the first bytes of a file; NotABagError when it cannot be read."""
+    with readable(shown), open_input(path) as stream:
+        return stream.read(18)
 
 
 class UnpackBudget:
@@ -151,10 +158,8 @@ def unpack_file(path: Path, folder: Path) -> tuple[Path, str]:
         return path, ""
     kind = "zstd" if magic.startswith(ZSTD_MAGIC) else "lz4"
     target = folder / path.stem
-    try:
+    with readable(path):
         stream = open_input(path)
-    except OSError as error:
-        raise NotABagError(f"{path} cannot be read ({reason(error)}): check the path and its permissions.") from error
     budget = UnpackBudget(file_size(path))
     with stream, target.open("wb") as out:
         try:

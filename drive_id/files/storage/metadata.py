@@ -13,7 +13,7 @@ import yaml
 
 from drive_id.errors import NotABagError
 from drive_id.files.inputs.input_file import read_text_input, reason
-from drive_id.files.inputs.yaml_tree import load_yaml
+from drive_id.files.inputs.yaml_tree import line_of, load_yaml
 from drive_id.files.storage.container import full_type
 from drive_id.files.storage.durable import sync_folder, write_synced
 
@@ -56,7 +56,7 @@ def read_metadata(path: Path) -> BagMetadata:
     except OSError as error:
         raise NotABagError(f"{path} cannot be read ({reason(error)}): {advice}") from error
     except (yaml.YAMLError, ValueError, TypeError, RecursionError) as error:
-        said = f"it is not YAML, see line {line}" if (line := _line(error)) else str(error).split("\n")[0]
+        said = f"it is not YAML, see line {line}" if (line := line_of(error)) else str(error).split("\n")[0]
         raise NotABagError(f"{path} is damaged ({said}): {advice}") from error
 
 
@@ -112,11 +112,6 @@ def _item(tree: Any, key: str, kind: type) -> Any:
     if not isinstance(tree[key], kind) or isinstance(tree[key], bool):
         raise TypeError(f"{key} is not of type {kind.__name__}")
     return tree[key]
-
-
-def _line(error: BaseException) -> int:
-    mark = getattr(error, "problem_mark", None)
-    return 0 if mark is None else mark.line + 1
 
 
 @dataclass(frozen=True)
@@ -191,7 +186,8 @@ def bag_information(
     counts = sum((Counter(file.counts) for file in files), Counter[str]())
     whole = FileEntry("", min(starts, default=None), max((file.last for file in files), default=0), counts)
     times = whole.times()
-    by_number = any(_by_number(topic.offered_qos) for topic in topics)
+    profiles = [profile for topic in topics for profile in topic.offered_qos if isinstance(profile, dict)]
+    by_number = any(isinstance(profile.get("history"), int) for profile in profiles)  # in one text, before version 9
     return {
         "version": 8 if by_number else 9,
         "storage_identifier": "mcap",
@@ -220,11 +216,6 @@ def bag_information(
         "custom_data": dict(custom) if custom else None,
         "ros_distro": distro,
     }
-
-
-def _by_number(offered_qos: Any) -> bool:
-    """Tell whether QoS policies are written as before version 9: as numbers, in one text."""
-    return any(isinstance(profile, dict) and isinstance(profile.get("history"), int) for profile in offered_qos)
 
 
 def write_metadata(folder: Path, information: Mapping[str, Any]) -> None:

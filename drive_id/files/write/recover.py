@@ -7,11 +7,10 @@ import tempfile
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import Any
 
 import yaml
 from mcap import records
-from mcap.writer import CompressionType, Writer
 
 from drive_id.common.quantity import counted
 from drive_id.errors import EmptyTopicError, NotABagError
@@ -20,7 +19,7 @@ from drive_id.files.storage.bag import present_files
 from drive_id.files.storage.container import MCAP_MAGIC, SQLITE_MAGIC, read_magic, unpack_file
 from drive_id.files.storage.mcap import DamageError, McapFile, RecordError, chunk_records
 from drive_id.files.storage.metadata import FileEntry, TopicEntry, bag_information, read_metadata, write_metadata
-from drive_id.files.write.rosbag2_writer import McapStream, whole_or_nothing
+from drive_id.files.write.rosbag2_writer import McapOutput, open_unbuffered, whole_or_nothing
 
 _LIBRARY = "drive_id recover"
 _NUMBER = re.compile(r"_(\d+)\.mcap")
@@ -71,8 +70,10 @@ def _recover_files(files: tuple[Path, ...], path: Path, folder: Path, output: Pa
                     )
                 damage.append(f"{file}: its start was never written to disk; the file is left out.")
                 continue
-            copy = _Copy(plain, file, folder / f"{output.name}_{len(entries)}.mcap", topics)
-            stack.callback(copy.release)
+            source = McapFile(plain, file)
+            stack.callback(source.close)
+            copy = _Copy(source, file, folder / f"{output.name}_{len(entries)}.mcap", topics)
+            stack.callback(copy.output.release)
             copy.run()
         damage += copy.damage
         distro = distro or copy.distro
@@ -109,8 +110,13 @@ def _missing(path: Path, files: tuple[Path, ...], messages: int) -> list[str]:
 class _Copy:
     """Copies the whole records of one file."""
 
-    def __init__(self, source: Path, shown: Path, target: Path, topics: dict[str, TopicEntry]) -> None:
-        self.entry = FileEntry(target.name)
+    def __init__(self, source: McapFile, shown: Path, target: Path, topics: dict[str, TopicEntry]) -> None:
+        header = source.header()
+        profile = header.profile if header else ""
+        self.output = McapOutput(
+            target, open_unbuffered, chunk_size=_CHUNK_SIZE, compression="zstd", library=_LIBRARY, profile=profile
+        )
+        self.entry = self.output.entry
         self.damage: list[str] = []
         self.distro = ""
         self._shown = shown
@@ -118,27 +124,15 @@ class _Copy:
         self._schemas: dict[int, int] = {0: 0}
         self._types: dict[int, str] = {}
         self._channels: dict[int, tuple[int, str]] = {}
-        self._file = McapFile(source, shown)
-        self._stream = McapStream(target)
-        self._writer = Writer(
-            cast(IO[Any], self._stream), chunk_size=_CHUNK_SIZE, compression=CompressionType.ZSTD, enable_data_crcs=True
-        )
-
-    def release(self) -> None:
-        self._file.close()
-        self._stream.close()
+        self._file = source
+        self._writer = self.output.writer
 
     def run(self) -> None:
         """Copy all whole records, and complete the copy."""
-        header = self._file.header()
-        self._writer.start(profile=header.profile if header else "", library=_LIBRARY)
         position = len(MCAP_MAGIC)
         while position:
             position = self._copy_from(position)
-        information = bag_information(list(self._topics.values()), [self.entry], self.distro, None)
-        self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)})
-        self._writer.finish()  # type: ignore[no-untyped-call]
-        self._stream.sync()
+        self.output.finish(bag_information(list(self._topics.values()), [self.entry], self.distro, None))
 
     def _copy_from(self, begin: int) -> int:
         """Copy the records from byte ``begin`` on; return where to go on behind a damaged one, 0 at the end."""

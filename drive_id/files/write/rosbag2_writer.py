@@ -95,24 +95,26 @@ class McapStream:
         self._stream.close()
 
 
-class _File:
+class McapOutput:
     """A file being written, or complete. All methods raise OSError when the disk refuses."""
 
-    def __init__(self, path: Path, *, chunk_size: int, compression: str, live: bool, opener: FileOpener) -> None:
+    def __init__(
+        self, path: Path, opener: FileOpener, *, chunk_size: int, compression: str, library: str, profile: str = "ros2"
+    ) -> None:
         self.path = path
         self.entry = FileEntry(path.name)
         self.finished = False
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._stream = McapStream(path, opener)
-        self._writer = Writer(
+        self.writer = Writer(
             cast(IO[Any], self._stream),
             chunk_size=chunk_size,
             compression=_COMPRESSIONS[compression],
             enable_data_crcs=True,
         )
         try:
-            self._writer.start(profile="ros2", library=RECORDER_LIBRARY if live else LIBRARY)
+            self.writer.start(profile=profile, library=library)
         except OSError:
             self.release()
             path.unlink()
@@ -127,40 +129,41 @@ class _File:
         """Announce a topic."""
         if topic.type_name not in self._schemas:
             encoding = "ros2msg" if topic.definition else ""
-            schema = self._writer.register_schema(topic.type_name, encoding, topic.definition.encode())
+            schema = self.writer.register_schema(topic.type_name, encoding, topic.definition.encode())
             self._schemas[topic.type_name] = schema
         offered = yaml.safe_dump(topic.offered_qos, sort_keys=False).strip()
         metadata = {"offered_qos_profiles": offered, "topic_type_hash": topic.hash}
-        self._channels[topic.name] = self._writer.register_channel(
+        self._channels[topic.name] = self.writer.register_channel(
             topic.name, "cdr", self._schemas[topic.type_name], metadata
         )
 
     def write(self, topic: str, data: bytes, log_time: int, sequence: int) -> None:
         """Write one serialized message, logged and published at ``log_time``, ns."""
-        self._writer.add_message(self._channels[topic], log_time, data, log_time, sequence)
+        self.writer.add_message(self._channels[topic], log_time, data, log_time, sequence)
         self.entry.note(topic, log_time)
 
     def attach(self, name: str, data: bytes, media_type: str) -> None:
         """Add an attachment."""
         time = self.entry.first or 0
-        self._writer.add_attachment(time, time, name, media_type, data)
+        self.writer.add_attachment(time, time, name, media_type, data)
 
     def flush(self, *, sync: bool = False) -> None:
         """Hand everything written so far to the operating system, and wait for the disk if ``sync``."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
+        self.writer.flush()  # type: ignore[no-untyped-call]
         if sync:
             self._stream.sync()
 
-    def finish(self, metadata: dict[str, dict[str, str]]) -> None:
-        """Complete the file, with metadata by name."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
+    def finish(self, information: Mapping[str, Any], custom: Mapping[str, str] | None = None) -> None:
+        """Complete the file, with the content of a ``metadata.yaml`` about it, and metadata ``drive_id``."""
+        self.writer.flush()  # type: ignore[no-untyped-call]
         self._stream.data_end = self._stream.position
-        for name, data in metadata.items():
-            self._writer.add_metadata(name, data)
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        if custom:
+            self.writer.add_metadata("drive_id", dict(custom))
+        self.writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)})
+        self.writer.finish()  # type: ignore[no-untyped-call]
         self._stream.sync()
         self._stream.close()
-        del self._writer  # and the index that it holds
+        del self.writer  # and the index that it holds
         self.finished = True
 
     def end_early(self) -> None:
@@ -209,11 +212,14 @@ class Rosbag2McapWriter:
         opener: FileOpener = open_unbuffered,
     ) -> None:
         self.path = path
-        self._new_file = partial(_File, chunk_size=chunk_size, compression=compression, live=live, opener=opener)
+        library = RECORDER_LIBRARY if live else LIBRARY
+        self._new_file = partial(
+            McapOutput, opener=opener, chunk_size=chunk_size, compression=compression, library=library
+        )
         self._distro = ros_distro
         self._topics: dict[str, TopicEntry] = {}
         self._sequence: Counter[str] = Counter()
-        self._files: list[_File] = []
+        self._files: list[McapOutput] = []
         self._closed = False
         with _refusal(path):
             try:
@@ -231,7 +237,7 @@ class Rosbag2McapWriter:
                 raise
 
     @property
-    def _file(self) -> _File:
+    def _file(self) -> McapOutput:
         return self._files[-1]
 
     @property
@@ -353,11 +359,8 @@ class Rosbag2McapWriter:
         self._files.append(file)
 
     def _finish_file(self, custom: Mapping[str, str] | None) -> None:
-        if self._file.finished:
-            return
-        dumped = yaml.safe_dump(self._information([self._file.entry], custom), sort_keys=False)
-        own = {"drive_id": dict(custom)} if custom else {}
-        self._file.finish({**own, "rosbag2": {"serialized_metadata": dumped}})
+        if not self._file.finished:
+            self._file.finish(self._information([self._file.entry], custom), custom)
 
     def _sync_names(self) -> None:
         """Wait until the names of folder and files are on the disk: syncing a file keeps its content only."""

@@ -129,13 +129,9 @@ def _finer(table: MapTable) -> MapTable:
 
 def _reaching(axis: FloatArray, reach: float) -> FloatArray:
     """Return an axis with further points at its ends, up to both -reach and reach."""
-    before, after = (math.ceil(max(0.0, reach - end) / step - 1e-9) for end, step in _ends(axis))
-    low, high = (step for _, step in _ends(axis))
+    low, *_, high = np.diff(axis).tolist()
+    before, after = (math.ceil(max(0.0, reach - x) / s - 1e-9) for x, s in ((-axis[0], low), (axis[-1], high)))
     return np.concatenate([axis[0] - low * np.arange(before, 0, -1), axis, axis[-1] + high * np.arange(1, after + 1)])
-
-
-def _ends(axis: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
-    return (float(-axis[0]), float(axis[1] - axis[0])), (float(axis[-1]), float(axis[-1] - axis[-2]))
 
 
 def current_errors(machine: MachineModel, i_d: FloatArray, i_q: FloatArray) -> list[FloatArray]:
@@ -240,7 +236,8 @@ def _description(table: MapTable, variables: list[_Variable], guid: str, version
     listed = ET.SubElement(root, "ModelVariables")
     first = 1 if old else 0  # number of the first variable
     for number, variable in enumerate(variables):
-        attributes, value = _attributes(number, variable), _value(variable)
+        attributes, value = _attributes(number, variable), {"unit": variable.unit} if variable.unit else {}
+        value |= {} if variable.start is None else {"start": repr(variable.start)}
         if old:
             real = ET.SubElement(ET.SubElement(listed, "ScalarVariable", attributes), "Real", value)
         else:
@@ -248,7 +245,10 @@ def _description(table: MapTable, variables: list[_Variable], guid: str, version
         if variable.name.startswith("der_"):
             real.set("derivative", str(first + _place(variables, variable.name[4:])))
     structure = ET.SubElement(root, "ModelStructure")
-    for kind, numbers in _structure(variables).items():
+    outputs = [k for k, variable in enumerate(variables) if variable.causality == "output"]
+    derivatives = [_place(variables, f"der_{state}") for state in _STATES]
+    computed = sorted([k for k in outputs if variables[k].start is None] + derivatives)
+    for kind, numbers in {"Output": outputs, "Derivative": derivatives, "InitialUnknown": computed}.items():
         group = ET.SubElement(structure, f"{kind}s") if old else structure
         name = "Unknown" if old else {"Derivative": "ContinuousStateDerivative"}.get(kind, kind)
         for number in numbers:
@@ -260,14 +260,6 @@ def _place(variables: list[_Variable], name: str) -> int:
     return [variable.name for variable in variables].index(name)
 
 
-def _structure(variables: list[_Variable]) -> dict[str, list[int]]:
-    """Return the numbers of outputs, derivatives and what is computed at the start."""
-    outputs = [k for k, variable in enumerate(variables) if variable.causality == "output"]
-    derivatives = [_place(variables, f"der_{state}") for state in _STATES]
-    computed = [k for k in outputs if variables[k].start is None]
-    return {"Output": outputs, "Derivative": derivatives, "InitialUnknown": sorted(computed + derivatives)}
-
-
 def _attributes(number: int, variable: _Variable) -> dict[str, str]:
     out = {"name": variable.name, "valueReference": str(number), "description": variable.description}
     out["causality"] = variable.causality
@@ -275,11 +267,6 @@ def _attributes(number: int, variable: _Variable) -> dict[str, str]:
     if (variable.causality == "output" and variable.start is not None) or variable.causality == "parameter":
         out["initial"] = "exact"
     return out
-
-
-def _value(variable: _Variable) -> dict[str, str]:
-    out = {"unit": variable.unit} if variable.unit else {}
-    return out | ({} if variable.start is None else {"start": repr(variable.start)})
 
 
 def _build_description() -> ET.Element:

@@ -69,8 +69,6 @@ def write_gradnet_data(table: MapTable, _: ExportOptions) -> bytes:
 
 def _scalars(table: MapTable) -> dict[str, np.ndarray]:
     """Return what is known of the machine, by motulator's names."""
-    machine = table.machine
-    resistance = machine.resistance if np.isfinite(machine.resistance) else None
-    scalars = {"i_max": machine.i_max, "source": table.source}
-    scalars |= {"u_dc": machine.u_dc, "R_s": resistance, "n_p": machine.pole_pairs}
-    return {name: np.asarray(value) for name, value in scalars.items() if value is not None}
+    names = {"i_max": "i_max", "source": "source", "u_dc": "u_dc", "R_s": "resistance", "n_p": "pole_pairs"}
+    facts = table.facts()
+    return {name: np.asarray(facts[own]) for name, own in names.items() if own in facts}

@@ -246,9 +246,13 @@ class _Judged:
 
 
 def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Judged:
-    """Correct the selected solution and judge it, without effects that are not significant by all its errors."""
+    """Correct the selected solution and judge it, without effects that are not significant by all its errors.
+
+    What these would change is an error: that they are not significant does not show that there are none.
+    """
     sums, solver, uncorrected = selection.search.sums, selection.solver, selection.solution
     crossed = bool(np.isfinite(selection.crossings))
+    left_out: dict[str, FloatArray] = {}
     while True:
         solution, by_noise = correct_attenuation(solver, uncorrected, noise)
         if passive:
@@ -261,11 +265,13 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
         if weak is None:
             break
         effects = tuple(name for name in solution.spec.effects if name != weak)
-        uncorrected = solver.solve(replace(solution.spec, effects=effects))
+        with_weak, uncorrected = uncorrected, solver.solve(replace(solution.spec, effects=effects))
+        left_out[weak] = with_weak.estimate - uncorrected.estimate
     by_rivals = _with_rivals(solver, uncorrected, selection)
     undecided = _with_undecided(solver, uncorrected, selection)
-    among = np.column_stack([undecided, *by_rivals.values(), _among_curves(solver, solution, batches, crossed)])
-    by_open = {DELAY: by_delay, selection.search.found.undecided: undecided}
+    by_curve = _among_curves(solver, solution, batches, crossed)
+    among = np.column_stack([undecided, *left_out.values(), *by_rivals.values(), by_curve])
+    by_open = {DELAY: by_delay, selection.search.found.undecided: undecided} | left_out
     return _Judged(
         uncorrected=uncorrected, solution=solution, changes=np.hstack([own, among]), energy=energy, times=times,
         misfit=misfit, by_rivals=by_rivals, by_open=by_open,

@@ -342,6 +342,21 @@ def test_an_effect_whose_size_depends_on_an_open_one_stays(samples, monkeypatch)
 
 
 @pytest.mark.accuracy
+def test_what_an_effect_that_is_left_out_would_change_is_uncertain(samples, monkeypatch):
+    """Hysteresis at one speed was confirmed by the search and then not significant: psi_q was 2.6 % off at 7 sigma."""
+    gains = replace(samples, i_abc=samples.i_abc * np.array([1.006, 0.997, 0.997]))
+    with_it = fitted(gains)
+    weak = iter(with_it.spec.effects)
+    monkeypatch.setattr(full_fit, "_weakest", lambda *_: next(weak, None))
+    without = fitted(gains)
+    assert with_it.spec.effects and not without.spec.effects  # noqa: PT018
+    own = without.model.map
+    change = np.abs(with_it.solution.estimate - without.solution.estimate)[own]
+    large = change > 0.1 * change.max()
+    assert np.all(sigma(without.assessment.changes[own])[large] > 0.9 * change[large])
+
+
+@pytest.mark.accuracy
 @pytest.mark.parametrize(("late", "word"), [(1, "later"), (-1, "earlier")])
 def test_voltages_that_slip_within_a_recording_are_refused(samples, late, word):
     part, half = samples.part(0, 20_000), 10_000

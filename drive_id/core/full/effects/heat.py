@@ -69,8 +69,9 @@ class CopperRecordings(DriveEffect):
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for number, part, x, dx in found.of_parts():
             name, told = f"resistance_change_{number}", _relative(found, x)
-            usual = _MOST_COOLED < told["kelvin"] < _MOST_WARMED
-            key = "resistance_change" if usual else "resistance_change.odd"
+            cools = "pause" in part and bool(np.isfinite(found.time_constant))  # which its heat does not know
+            usual = cools or _MOST_COOLED < told["kelvin"] < _MOST_WARMED
+            key = f"resistance_change{'.cools' if cools else '' if usual else '.odd'}"
             entry = found.entry(name, x, dx, "ohm", key, **part, **told)
             yield entry if usual else replace(entry, doubtful=True)
 

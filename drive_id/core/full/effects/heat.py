@@ -71,7 +71,8 @@ class CopperRecordings(DriveEffect):
             name, told = f"resistance_change_{number}", _relative(found, x)
             cools = "pause" in part and bool(np.isfinite(found.time_constant))  # which its heat does not know
             usual = cools or _MOST_COOLED < told["kelvin"] < _MOST_WARMED
-            key = f"resistance_change{'.cools' if cools else '' if usual else '.odd'}"
+            key = "resistance_change" if usual else "resistance_change.odd"
+            key = "resistance_change.cools" if cools else key
             entry = found.entry(name, x, dx, "ohm", key, **part, **told)
             yield entry if usual else replace(entry, doubtful=True)
 

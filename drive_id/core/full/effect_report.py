@@ -163,10 +163,10 @@ def _doubted_heat(entries: list[Calibration]) -> list[Calibration]:
     Behind a pause in which a winding that settles cooled, that of R is not a change of its temperature since the start.
     """
     out, found = [], {entry.name: entry for entry in entries}
+    settles = "resistance_rise" in found and "constant" in found["resistance_rise"].message.values
     for entry in entries:
         number = entry.name.removeprefix("magnet_flux_change")
         copper = found.get(f"resistance_change{number}" if number else "resistance_rise")
-        settles = "resistance_rise" in found and "constant" in found["resistance_rise"].message.values
         if copper is None or number == entry.name or (settles and "pause" in copper.message.values):
             out.append(entry)
             continue

@@ -1,8 +1,9 @@
 """Course of the winding's temperature: the heat that the currents leave in it, less what it gives off.
 
 With the heat ``h = int i^2 dt``, the thermal time constant tau and the growth g of the resistance by the largest rise,
-the rise follows ``theta' = (1 + g theta / max theta) h' - theta / tau``: warm copper takes more heat.
-The constant is found from the data, as the frequency of a ripple is: that which explains most of what the fit leaves.
+the rise follows ``theta' = (1 + g theta / max theta) h' - theta / tau``: warm copper takes more heat. A winding that
+settles sits in a stator that warms more slowly: a second course, with a constant of its own or heat that stays.
+The constants are found from the data, as the frequency of a ripple is: those which explain most of what the fit leaves.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from drive_id.types import FloatArray, IntArray
 _CONSTANTS = 465.0 * 0.6 ** np.arange(13)
 """Thermal time constants tried, s, from stators to the bare wires of small windings; between them by a parabola."""
 _CHANGE = 0.1
-"""Change of the inverse of a time constant, over that of the recording, for its derivative."""
+"""Change of the inverse of a time constant, in those of the recording, for its derivative: less than data can tell."""
 _APART = 2
 """Steps in that list by which the constants of two courses differ at least: 2.8 times."""
 _STEPS = 2000

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
+from synthetic import warmed
 
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
@@ -342,15 +342,8 @@ def test_a_winding_that_settles_in_a_stator_that_warms_is_found_with_both():
     """With one time constant, R was 2 % off at ten standard errors."""
     machine = machine_map("pmsyrm")
     simulation = run_experiment(machine, GOOD, seconds=SECONDS)
-    samples = simulation.samples
-    current = samples.i_abc + 0.5 * np.diff(samples.i_abc, axis=0, append=samples.i_abc[-1:])
-    heat = np.sum(samples.i_abc**2, axis=1)
-    risen = np.zeros(len(samples))
-    for constant, most in ((1.5, 0.06), (12.0, 0.09)):
-        course = lfilter([samples.sample_period], [1.0, samples.sample_period / constant - 1.0], heat)
-        risen += most * course / course.max()
-    warmer = samples.u_abc + machine.resistance * risen[:, None] * current
-    found = fitted(replace(samples, u_abc=warmer))
+    rises = {1.5: 0.06 * machine.resistance, 12.0: 0.09 * machine.resistance}
+    found = fitted(warmed(simulation.samples, rises))
     (rise,) = (entry for entry in found.calibrations if entry.name == "resistance_rise")
     assert rise.value == pytest.approx(0.15 * machine.resistance, rel=0.02)
     assert found.resistance == pytest.approx(machine.resistance, abs=3 * found.sigma_resistance)

@@ -7,8 +7,10 @@ stator frame demands, ``T u = psi_s(t+T) - psi_s(t) + int (R i_s + drop_s)``, it
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from drive_id.core import frames
 from drive_id.types import FloatArray, Samples
@@ -74,6 +76,16 @@ def record(
         speed=np.full(count, speed),
         sample_period=period,
     )
+
+
+def warmed(samples: Samples, rises: dict[float, float]) -> Samples:
+    """Return what the drive logs if R rises, by ohms for each time constant, s, while the currents heat the winding."""
+    heat, rise = np.sum(samples.i_abc**2, axis=1), np.zeros(len(samples))
+    for constant, most in rises.items():
+        course = lfilter([samples.sample_period], [1.0, samples.sample_period / constant - 1.0], heat)
+        rise += most * course / course.max()
+    current = samples.i_abc + 0.5 * np.diff(samples.i_abc, axis=0, append=samples.i_abc[-1:])  # in the middle of each
+    return replace(samples, u_abc=samples.u_abc + rise[:, None] * current)
 
 
 def cut(samples, start, stop):

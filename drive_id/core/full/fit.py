@@ -287,10 +287,9 @@ def _causes(
         spec = selection.search.solution.spec
         expected = tuple(order for order in spec.orders if order in settings.harmonic_orders)
         reciprocal = solver.solve(replace(spec, effects=found.effects, orders=expected))
-        pairs = (
-            selection.search.found.columns.pole_pairs
-        )  # where not given, those that explain most: enough for a cause
-        tried = effects_to_try(sums, replace(settings, pole_pairs=pairs or 1))
+        # pole pairs that are not given are those that explain most, which is enough for a cause
+        known = replace(settings, pole_pairs=selection.search.found.columns.pole_pairs or 1)
+        tried = effects_to_try(sums, known)
         causes = tested_causes(sums, solver, reciprocal, tried, noise)
         misfit = replace(misfit, causes=causes)
     if misfit.ratio <= LEAST_TOLD:

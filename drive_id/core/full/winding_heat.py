@@ -125,7 +125,8 @@ def _time_constants(left: Callable[..., float], clear: float) -> tuple[float, fl
     clear : float
         Share of the squares that a time constant must explain.
     """
-    numbers, constants = range(len(_CONSTANTS)), (np.inf, *_CONSTANTS)
+    constants = (np.inf, *_CONSTANTS)
+    numbers = range(len(_CONSTANTS))  # without the fastest, which only is a neighbour of the parabola
     least = min(map(left, numbers))
     if left(0) - least <= clear * least:
         return np.inf, np.inf

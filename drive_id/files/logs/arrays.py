@@ -86,8 +86,7 @@ class MatLog(_HeldLog):
             raise _object_error(path, self._objects[0])
 
     def _take(self, name: str, value: Any) -> None:
-        if {"s0", "s1", "s2"} <= set(getattr(getattr(value, "dtype", None), "names", None) or ()):
-            # an object of MATLAB, such as a table, whose content scipy does not show
+        if _is_opaque(value):
             self._objects.append(_class_name(value["s2"].ravel()[0]))
             return
         if hasattr(value, "_fieldnames"):
@@ -115,6 +114,11 @@ class MatLog(_HeldLog):
                 return
         for field, entry in fields.items():
             self._take(f"{name}.{field}", entry)
+
+
+def _is_opaque(value: Any) -> bool:
+    """Tell whether a variable is an object of MATLAB, such as a table, whose content scipy does not show."""
+    return {"s0", "s1", "s2"} <= set(getattr(getattr(value, "dtype", None), "names", None) or ())
 
 
 def _class_name(said: Any) -> str:

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
-from synthetic import reciprocal_flux, record
+from synthetic import reciprocal_flux, record, warmed
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.effects.effect import MOST_PARTS, divided
@@ -61,15 +60,9 @@ def test_a_winding_that_is_warmer_behind_a_pause_is_no_ripple_of_the_link():
 @pytest.mark.accuracy
 def test_a_winding_that_cools_in_a_pause_does_not_condemn_a_warmer_magnet():
     """R seemed to be 20 K colder, though heat raises R and lowers the flux: map and R were to be distrusted."""
-
-    def warmed(samples):
-        decay = samples.sample_period / 1.2 - 1.0
-        rise = lfilter([samples.sample_period], [1.0, decay], np.sum(samples.i_abc**2, axis=1))
-        current = samples.i_abc + 0.5 * np.diff(samples.i_abc, axis=0, append=samples.i_abc[-1:])
-        return replace(samples, u_abc=samples.u_abc + 0.003 * (rise / rise.max())[:, None] * current)
-
-    first, second = (of_state(speed, 0, magnet=flux, duration=5.0) for speed, flux in ((400.0, 0.0), (-300.0, -4e-4)))
-    found = identify([behind(warmed(first), warmed(second), 20.0)], FULL)
+    states = ((400.0, 0.0), (-300.0, -4e-4))
+    first, second = (warmed(of_state(speed, 0, magnet=flux, duration=5.0), {1.2: 0.003}) for speed, flux in states)
+    found = identify([behind(first, second, 20.0)], FULL)
     colder, magnet = (correction(found, f"{name}_change_2") for name in ("resistance", "magnet_flux"))
     assert colder.value < -1e-3
     assert "from what the heat before the pause would leave" in colder.message

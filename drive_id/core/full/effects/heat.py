@@ -70,11 +70,10 @@ class CopperRecordings(DriveEffect):
         for number, part, x, dx in found.of_parts():
             name, told = f"resistance_change_{number}", _relative(found, x)
             cools = "pause" in part and bool(np.isfinite(found.time_constant))  # which its heat does not know
-            usual = cools or _MOST_COOLED < told["kelvin"] < _MOST_WARMED
-            key = "resistance_change" if usual else "resistance_change.odd"
-            key = "resistance_change.cools" if cools else key
+            odd = not cools and not _MOST_COOLED < told["kelvin"] < _MOST_WARMED
+            key = "resistance_change.odd" if odd else "resistance_change.cools" if cools else "resistance_change"
             entry = found.entry(name, x, dx, "ohm", key, **part, **told)
-            yield entry if usual else replace(entry, doubtful=True)
+            yield replace(entry, doubtful=True) if odd else entry
 
 
 def _relative(found: Reported, x: float) -> dict[str, float]:

@@ -156,7 +156,12 @@ def _real(value: float) -> str:
 def _array(name: str, size: str, rows: FloatArray, unit: str) -> list[str]:
     lines = [f"/* {unit} */", f"static const drive_id_real {name}{size} = {{"]
     for row in rows:
-        texts = [f"{value:.9g}" for value in row.tolist()]  # exact in single precision
-        words = [f"DRIVE_ID_C({text if set('.e') & set(text) else text + '.0'})" for text in texts]
+        words = [_literal(value) for value in row.tolist()]
         lines += [" " + ",".join(words[k : k + _PER_LINE]) + "," for k in range(0, len(words), _PER_LINE)]
     return [*lines, "};", ""]
+
+
+def _literal(value: float) -> str:
+    """Return a constant that is exact in single precision: suffixed, so that no conversion is needed."""
+    text = f"{value:.9g}"
+    return f"DRIVE_ID_C({text if any(mark in text for mark in '.e') else text + '.0'})"

@@ -245,10 +245,7 @@ def _description(table: MapTable, variables: list[_Variable], guid: str, version
         if variable.name.startswith("der_"):
             real.set("derivative", str(first + _place(variables, variable.name[4:])))
     structure = ET.SubElement(root, "ModelStructure")
-    outputs = [k for k, variable in enumerate(variables) if variable.causality == "output"]
-    derivatives = [_place(variables, f"der_{state}") for state in _STATES]
-    computed = sorted([k for k in outputs if variables[k].start is None] + derivatives)
-    for kind, numbers in {"Output": outputs, "Derivative": derivatives, "InitialUnknown": computed}.items():
+    for kind, numbers in _structure(variables).items():
         group = ET.SubElement(structure, f"{kind}s") if old else structure
         name = "Unknown" if old else {"Derivative": "ContinuousStateDerivative"}.get(kind, kind)
         for number in numbers:
@@ -258,6 +255,14 @@ def _description(table: MapTable, variables: list[_Variable], guid: str, version
 
 def _place(variables: list[_Variable], name: str) -> int:
     return [variable.name for variable in variables].index(name)
+
+
+def _structure(variables: list[_Variable]) -> dict[str, list[int]]:
+    """Return the numbers of outputs, derivatives and what is computed at the start."""
+    outputs = [k for k, variable in enumerate(variables) if variable.causality == "output"]
+    derivatives = [_place(variables, f"der_{state}") for state in _STATES]
+    computed = [k for k in outputs if variables[k].start is None]
+    return {"Output": outputs, "Derivative": derivatives, "InitialUnknown": sorted(computed + derivatives)}
 
 
 def _attributes(number: int, variable: _Variable) -> dict[str, str]:

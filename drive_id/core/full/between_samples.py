@@ -164,21 +164,23 @@ def _mean_inductances(model: FullModel, estimate: FloatArray, i_dq: FloatArray) 
     return np.stack([(high - low) / (2 * span) for high, low in sides], axis=-1)
 
 
-@compiled("const f8[::1], const f8[::1], f8, f8, f8, f8")
-def _mean_drop(drop: FloatArray, primitive: FloatArray, first: float, step: float, start: float, end: float) -> float:
-    """Return the mean drop, V, over a current that is linear in time from ``start`` to ``end``, A, from its table."""
-    last = len(drop) - 2
-    if abs(end - start) < _NEGLIGIBLE * step:
-        place = (0.5 * (start + end) - first) / step
-        k = min(max(int(place), 0), last)
-        return float(drop[k] + (place - k) * (drop[k + 1] - drop[k]))
-    total = 0.0
-    for sign, x in ((1.0, end), (-1.0, start)):
-        place = (x - first) / step
-        k = min(max(int(place), 0), last)
-        part = place - k
-        total += sign * (primitive[k] + step * part * (drop[k] + 0.5 * part * (drop[k + 1] - drop[k])))
-    return float(total / (end - start))
+@compiled("const f8[::1], const f8[::1], f8, f8, f8")
+def _primitive(drop: FloatArray, primitive: FloatArray, first: float, step: float, current: float) -> float:
+    """Return the integral of the drop over the current, V A, up to a current, A, from its table."""
+    place = (current - first) / step
+    k = min(max(int(place), 0), len(drop) - 2)
+    part = place - k
+    return float(primitive[k] + step * part * (drop[k] + 0.5 * part * (drop[k + 1] - drop[k])))
+
+
+@compiled("const f8[::1], f8, f8, f8, f8, f8")
+def _mean_drop(drop: FloatArray, first: float, step: float, start: float, end: float, between: float) -> float:
+    """Return the mean drop, V, over a current linear in time, A, from its integral ``between`` them, V A."""
+    if abs(end - start) >= _NEGLIGIBLE * step:
+        return between / (end - start)
+    place = (0.5 * (start + end) - first) / step
+    k = min(max(int(place), 0), len(drop) - 2)
+    return float(drop[k] + (place - k) * (drop[k + 1] - drop[k]))
 
 
 @compiled("const f8[:, ::1], const f8[:, ::1], f8, f8, const c16[::1], c16, c16, f8")
@@ -191,36 +193,42 @@ def _drop_between(
     for phase in range(3):
         axis = axes[phase]
         one, other = (axis.conjugate() * start).real, (axis.conjugate() * end).real
-        out += 2.0 / 3.0 * scale * _mean_drop(drop[phase], primitive[phase], first, step, one, other) * axis
+        between = _primitive(drop[phase], primitive[phase], first, step, other)
+        between -= _primitive(drop[phase], primitive[phase], first, step, one)
+        out += 2.0 / 3.0 * scale * _mean_drop(drop[phase], first, step, one, other, between) * axis
     return out
 
 
 @compiled(
-    "f8, f8, const c16[::1], const c16[::1], const c16[::1], const f8[:, ::1], f8, f8, f8, f8, f8, "
-    "const f8[:, ::1], const f8[:, ::1], const c16[::1], c16[::1], c16[::1], c16[::1]"
+    "const c16[::1], const c16[::1], const c16[::1], const f8[:, ::1], f8, f8, f8, f8, f8, "
+    "const f8[:, ::1], const f8[:, ::1], const c16[::1], c16[::1], c16[::1], c16[::1], f8[:, ::1]"
 )
 def _follow(
-    angle: float, turn: float, ends: ComplexArray, fluxes: ComplexArray, chord: ComplexArray, inverse: FloatArray,
-    period: float, resistance: float, scale: float, first: float, step: float, drop: FloatArray, primitive: FloatArray,
-    axes: ComplexArray, swing: ComplexArray, i: ComplexArray, summed: ComplexArray,
+    rotor: ComplexArray, straight: ComplexArray, bowed: ComplexArray, inverse: FloatArray, period: float,
+    resistance: float, scale: float, first: float, step: float, drop: FloatArray, primitive: FloatArray,
+    axes: ComplexArray, swing: ComplexArray, i: ComplexArray, summed: ComplexArray, before: FloatArray,
 ) -> float:  # fmt: skip
     """Evaluate the current ``i`` (K + 1,) over a sample for W = ``swing``, the integral ``summed``, and W.
 
-    Currents ``ends`` and ``fluxes`` (2,) are in the rotor frame, the fluxes ``chord`` (2,) in the stator frame. Returns
-    the largest change of W, V.
+    ``rotor`` (K + 1,) turns to the stator frame; in the rotor frame, ``straight`` is the current without a bow, and
+    ``bowed`` the flux without W minus that without a bow. ``before`` (3, 2) is overwritten. Returns the largest change
+    of W, V.
     """
     for j in range(_PARTS + 1):
-        s = j / _PARTS
-        rotor = complex(math.cos(angle + s * turn), math.sin(angle + s * turn))
-        flux = rotor.conjugate() * (chord[0] + s * (chord[1] - chord[0]) - period * swing[j])
-        off = flux - fluxes[0] - s * (fluxes[1] - fluxes[0])
-        straight = ends[0] + s * (ends[1] - ends[0])
-        d = straight.real + inverse[0, 0] * off.real + inverse[0, 1] * off.imag
-        q = straight.imag + inverse[1, 0] * off.real + inverse[1, 1] * off.imag
-        i[j] = rotor * complex(d, q)
-    for j in range(_PARTS):
-        mean = _drop_between(drop, primitive, first, step, axes, i[j], i[j + 1], scale)
-        summed[j + 1] = summed[j] + (mean + 0.5 * resistance * (i[j] + i[j + 1])) / _PARTS
+        off = bowed[j] - rotor[j].conjugate() * period * swing[j]
+        d = straight[j].real + inverse[0, 0] * off.real + inverse[0, 1] * off.imag
+        q = straight[j].imag + inverse[1, 0] * off.real + inverse[1, 1] * off.imag
+        i[j] = rotor[j] * complex(d, q)
+        mean = 0j
+        for phase in range(3):
+            current = (axes[phase].conjugate() * i[j]).real
+            so_far = _primitive(drop[phase], primitive[phase], first, step, current)
+            if j > 0:
+                last, between = before[phase, 0], so_far - before[phase, 1]
+                mean += 2.0 / 3.0 * scale * _mean_drop(drop[phase], first, step, last, current, between) * axes[phase]
+            before[phase, 0], before[phase, 1] = current, so_far
+        if j > 0:
+            summed[j] = summed[j - 1] + (mean + 0.5 * resistance * (i[j - 1] + i[j])) / _PARTS
     change = 0.0
     for j in range(1, _PARTS):
         more = summed[j] - j / _PARTS * summed[_PARTS] - swing[j]
@@ -243,9 +251,9 @@ def _integrate(
     The iterations end where W changes by less than ``settled``, V.
     """
     parts, pair = np.zeros(_PARTS + 1, np.complex128), np.empty(2, np.complex128)
-    i, summed, swing = parts.copy(), parts.copy(), parts.copy()
+    i, summed, swing, rotors, straight, bowed = [parts.copy() for _ in range(6)]
     ends, fluxes, chord, i_s = pair.copy(), pair.copy(), pair.copy(), pair.copy()
-    before = 0j
+    before, phases = 0j, np.empty((3, 2))
     for n in range(len(angle)):
         turn = turned[n] / samples[n]
         swing[:] = 0.0
@@ -258,11 +266,18 @@ def _integrate(
                 i_s[side], chord[side] = rotor * ends[side], rotor * fluxes[side]
             if k % spaced == 0:
                 before = i_s[0]
+            for j in range(_PARTS + 1):
+                s = j / _PARTS
+                place = angle[n] + (k + s) * turn
+                rotors[j] = complex(math.cos(place), math.sin(place))
+                straight[j] = ends[0] + s * (ends[1] - ends[0])
+                bowed[j] = rotors[j].conjugate() * (chord[0] + s * (chord[1] - chord[0]))
+                bowed[j] -= fluxes[0] + s * (fluxes[1] - fluxes[0])
             swing *= complex(math.cos(turn), math.sin(turn))  # about that of the sample before
             for _ in range(_ROUNDS):
                 change = _follow(
-                    angle[n] + k * turn, turn, ends, fluxes, chord, inverse[n], period[n], resistance, drop_scale[n],
-                    first, step, drop, primitive, axes, swing, i, summed,
+                    rotors, straight, bowed, inverse[n], period[n], resistance, drop_scale[n],
+                    first, step, drop, primitive, axes, swing, i, summed, phases,
                 )  # fmt: skip
                 if change < settled:
                     break

@@ -158,16 +158,12 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
 
 
 def _doubted_heat(entries: list[Calibration]) -> list[Calibration]:
-    """Doubt each change of the magnet's flux that has the sign of that of R beside it: heat moves them apart.
-
-    Behind a pause in which a winding that settles cooled, that of R is not a change of its temperature since the start.
-    """
+    """Doubt each change of the magnet's flux that has the sign of that of R beside it: heat moves them apart."""
     out, found = [], {entry.name: entry for entry in entries}
-    settles = "resistance_rise" in found and "constant" in found["resistance_rise"].message.values
     for entry in entries:
         number = entry.name.removeprefix("magnet_flux_change")
         copper = found.get(f"resistance_change{number}" if number else "resistance_rise")
-        if copper is None or number == entry.name or (settles and "pause" in copper.message.values):
+        if copper is None or number == entry.name:
             out.append(entry)
             continue
         certain = all(abs(each.value) > CERTAIN * each.sigma for each in (entry, copper))

@@ -57,6 +57,11 @@ class EffectSearch:
     solution: FullSolution
     found: FoundEffects
 
+    def linearized(self, sums: WindowSums) -> WindowSums:
+        """Return other sums with the columns of the effects, and with currents in the map, as here."""
+        columns = self.found.columns
+        return (sums.changed(columns.moved) if self.sums.kept()[0].moved is not None else sums).with_effects(columns)
+
 
 def first_columns(
     sums: WindowSums, solution: FullSolution, noise: CurrentNoise, pole_pairs: int | None
@@ -84,6 +89,12 @@ def settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> Effect
     start = _iterated(sums, spec, columns)
     moved = _iterated(sums, spec, start.found.columns, move=True) if move else start
     return moved if _GROWN * moved.solution.residual_rms < start.solution.residual_rms else start
+
+
+def settled_over(sums: WindowSums, spec: ModelSpec, state: EffectSearch) -> EffectSearch:
+    """Solve about what settled over other windows."""
+    found = settled(sums, spec, replace(state.found.columns, estimate=state.solution.estimate))
+    return replace(found, found=replace(found.found, delay=state.found.delay))
 
 
 def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move: bool = False) -> EffectSearch:
@@ -116,7 +127,7 @@ def _attuned(columns: EffectColumns, model: FullModel, spec: ModelSpec, kept: Se
         columns = replace(columns, ripple=ripple_frequency(model, beside, kept, columns.ripple)[0])
     if "copper_heating" in spec.effects:
         winding = columns.winding or WindingHeat.of(Windows.joined(list(kept)))
-        columns = replace(columns, winding=winding.fitted(model, columns.estimate, kept))
+        columns = replace(columns, winding=winding.fitted(model, columns.estimate, kept, columns.divided))
     return columns
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from drive_id.core.full.model import RESISTANCE, FullModel
 from drive_id.core.full.windows import Windows
-from drive_id.types import FloatArray, IntArray
+from drive_id.types import TINY, FloatArray, IntArray
 
 _CONSTANTS = 465.0 * 0.6 ** np.arange(13)
 """Thermal time constants tried, s, from stators to the bare wires of small windings; between them by a parabola."""
@@ -37,8 +37,10 @@ _CLEAR = 16.0
 class WindingHeat:
     """Rise of the winding's temperature within each recording, relative to the largest one."""
 
-    recording: IntArray  # (K,), time, s, and heat since the recording's start, A^2 s, of some windows
+    # (K,), time, gaps not counted, gaps, s, and heat, A^2 s, the latter since the recording's start, of some windows
+    recording: IntArray
     time: FloatArray
+    gaps: FloatArray
     heat: FloatArray
     constant: float = np.inf  # thermal time constant, s
     slow: float = np.inf  # the same of what warms beside it, more slowly
@@ -48,7 +50,7 @@ class WindingHeat:
     def of(cls, windows: Windows) -> WindingHeat:
         """Return the heat over all windows, none of which is given off."""
         some = windows.thinned(_NODES)
-        return cls(some.recording, some.time, some.heat)
+        return cls(some.recording, some.time, some.gaps, some.heat)
 
     def courses(self, windows: Windows) -> list[FloatArray]:
         """Return the rise (N,); where it settles, also its changes by the time constant and by slower heat."""
@@ -64,50 +66,58 @@ class WindingHeat:
         for number in np.unique(np.concatenate([self.recording, windows.recording])):
             known, own = self.recording == number, windows.recording == number
             time, first = np.unique(np.concatenate([self.time[known], windows.time[own]]), return_index=True)
+            gaps = np.concatenate([self.gaps[known], windows.gaps[own]])[first]
             heat = np.concatenate([self.heat[known], windows.heat[own]])[first]
             steps = np.linspace(time[0], time[-1], _STEPS)
-            courses[number] = steps, np.interp(steps, time, heat)
-        until = {number: self.time[self.recording == number].max(initial=-np.inf) for number in courses}
+            courses[number] = steps + np.interp(steps, time, gaps), np.interp(steps, time, heat)
+        clock = self.time + self.gaps
+        until = {number: clock[self.recording == number].max(initial=-np.inf) for number in courses}
         for growth in (0.0, *_PASSES * (self.growth,)):
             risen = {number: self._risen(*course, growth / largest) for number, course in courses.items()}
             largest = max(float(rise[courses[k][0] <= until[k]].max(initial=1e-12)) for k, rise in risen.items())
         out = np.zeros(len(windows))
         for number, rise in risen.items():
             own = windows.recording == number
-            out[own] = np.interp((windows.time + 0.5 * windows.duration)[own], courses[number][0], rise)
+            middle = windows.time + windows.gaps + 0.5 * windows.duration
+            out[own] = np.interp(middle[own], courses[number][0], rise)
         return out / largest
 
     def _risen(self, time: FloatArray, heat: FloatArray, growth: float) -> FloatArray:
-        """Return the rise (K,), A^2 s, at equal steps of time (K,), s, by heat (K,); ``growth`` per A^2 s."""
-        step = float(time[1] - time[0])
-        stays = float(np.exp(-step / self.constant))
-        share = self.constant / step * (1.0 - stays) if np.isfinite(self.constant) and step > 0 else 1.0
+        """Return the rise (K,), A^2 s, at times (K,), s, by heat (K,); ``growth`` per A^2 s."""
+        rates = np.maximum(np.diff(time), TINY) / self.constant
+        stays = np.exp(-rates)
+        shares = np.where(rates > 0, -np.expm1(-rates) / np.maximum(rates, TINY), 1.0)
         rise = float(heat[0])
         course = [rise]
-        for more in np.diff(heat).tolist():
-            rise = rise * stays + more * share * (1.0 + growth * rise)
+        for more, share, left in zip(np.diff(heat).tolist(), shares.tolist(), stays.tolist(), strict=True):
+            rise = rise * left + more * share * (1.0 + growth * rise)
             course.append(rise)
         return np.array(course)
 
-    def fitted(self, model: FullModel, estimate: FloatArray, kept: Sequence[Windows]) -> WindingHeat:
+    def fitted(self, model: FullModel, estimate: FloatArray, kept: Sequence[Windows], divided: str) -> WindingHeat:
         """Return the heat with the time constants that explain most of the residuals, infinite unless clearly.
 
         Parameters
         ----------
         estimate : (size,) float
             With heating.
+        divided : str
+            What tells the parts of the data apart. If R differs between them, it is open in each: what the last time
+            constants left to it, others may explain.
         """
         windows, own, estimate = Windows.joined(list(kept)), model.effect("copper_heating"), estimate.copy()
         growth = float(np.clip(estimate[own][0] / estimate[RESISTANCE], 0.0, 1.0))
         estimate[own] = 0.0
         current = np.sqrt(windows.weights) * windows.current
         steady = np.stack([current.real, current.imag], axis=1).ravel()
+        part = np.repeat(getattr(windows, divided), 2) if estimate[model.effect("copper_recordings")].any() else None
+        parts = [steady] if part is None else [steady * (part == number) for number in np.unique(part)]
         courses = [np.repeat(replace(self, constant=each, growth=growth)(windows), 2) for each in (np.inf, *_CONSTANTS)]
-        rows = np.stack([model.residuals(windows, estimate).ravel(), steady, *(course * steady for course in courses)])
+        rows = np.stack([model.residuals(windows, estimate).ravel(), *parts, *(course * steady for course in courses)])
         products, clear = rows @ rows.T, _CLEAR / rows.shape[1]
 
         def left(*chosen: int) -> float:
-            columns = [1, *(2 + number for number in chosen)]
+            columns = [*range(1, 1 + len(parts)), *(1 + len(parts) + number for number in chosen)]
             moment = products[0, columns]
             return float(products[0, 0] - moment @ np.linalg.lstsq(products[np.ix_(columns, columns)], moment)[0])
 

@@ -80,6 +80,7 @@ class Windows:
     """Terms of the balance over N windows."""
 
     time: FloatArray  # (N,), time of the start, gaps not counted, s
+    gaps: FloatArray  # (N,), sum of the gaps since the start of the recording, s
     i_dq: FloatArray  # (N, 2, 2), measured currents at [start, end], A
     angle: FloatArray  # (N, 2), electrical angle at [start, end], rad
     voltage: ComplexArray  # (N,), int u_s, Vs
@@ -224,6 +225,7 @@ class WindowCutter:
         self._lagged = np.zeros(len(LAGS), np.complex128)  # at the last sample, A
         self._run, self._recording, self._section = -1, 0, -1
         self._paused = -np.inf  # since when, ns; infinite before a recording
+        self._gaps = 0.0  # s
         self._rest: _Stretch | None = None  # samples that later windows need
         self._period = 0.0
         self._origin = 0  # index of the rest's first sample within its run
@@ -243,7 +245,7 @@ class WindowCutter:
 
         Default of these: those that were cut last.
         """
-        self._time, self._recording, self._heat, self._paused = time, recording, 0.0, -np.inf
+        self._time, self._recording, self._heat, self._paused, self._gaps = time, recording, 0.0, -np.inf, 0.0
         self._run, self._section = last or (self._run, self._section)
 
     def cut(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> Iterator[Windows]:
@@ -295,7 +297,9 @@ class WindowCutter:
 
     def _begin(self, stamp: float) -> None:
         self._run += 1
-        self._section += stamp - self._paused > _PAUSE * 1e9
+        gap = (stamp - self._paused) * 1e-9
+        self._section += gap > _PAUSE
+        self._gaps += gap if np.isfinite(gap) else 0.0
 
     def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
         """Return the new samples of a run with the quantities integrated over them."""
@@ -409,6 +413,7 @@ class WindowCutter:
         heating = np.where(np.isnan(winding), self._heating, winding)
         return Windows(
             time=self._time + period * begin.astype(np.float64),
+            gaps=np.full(len(begin), self._gaps),
             i_dq=frames.as_pairs(i_dq[ends]),
             angle=stretch.angle[ends],
             voltage=sums.voltage[end] - sums.voltage[begin],

@@ -67,19 +67,23 @@ def test_segments_left_out_add_up_to_folds_left_out(fitted):
 
 @pytest.mark.parametrize(("constant", "growth"), [(np.inf, 0.0), (np.inf, 0.3), (2.0, 0.0), (5.0, 0.45)])
 def test_the_course_of_a_winding_is_that_of_its_differential_equation(constant, growth):
-    """Its windows come in two recordings; half of those of the second one were not known before."""
+    """Its windows come in two recordings with a pause of 3 s each; half of those of the second are new."""
 
     def power(t):
         return 900.0 * (1 + 0.8 * np.sin(2 * np.pi * 1.1 * t)) * (0.5 + 0.5 * (t < 4.0))
 
+    def paused(clock):
+        return power(np.where(clock < 4.0, clock, clock - 3.0)) * ((clock < 4.0) | (clock > 7.0))
+
     time = np.arange(0.0, 10.0, 0.004)
+    gaps = 3.0 * (time >= 4.0)
     heat = np.concatenate([[0.0], np.cumsum(power(time[:-1] + 0.002) * 0.004)])
 
     def course(by_rise):
         def slope(t, y):
-            return power(t) * (1 + by_rise * y) - y / constant
+            return paused(t) * (1 + by_rise * y) - y / constant
 
-        return solve_ivp(slope, (0.0, 10.0), [0.0], t_eval=time + 0.002, max_step=0.1, rtol=1e-7).y[0]
+        return solve_ivp(slope, (0.0, 13.0), [0.0], t_eval=time + gaps + 0.002, max_step=0.1, rtol=1e-7).y[0]
 
     truth = course(0.0)
     for _ in range(6):  # the growth holds for the largest rise, which it changes
@@ -87,12 +91,15 @@ def test_the_course_of_a_winding_is_that_of_its_differential_equation(constant, 
     twice = np.tile(time, 2) + np.repeat([0.0, 100.0], len(time))
     recording = np.repeat([0, 1], len(time))
     known = (np.arange(2 * len(time)) % 7 == 0) & (twice < 105.0)
-    found = WindingHeat(recording[known], twice[known], np.tile(heat, 2)[known], constant, growth=growth)
+    both = np.tile(gaps, 2)
+    found = WindingHeat(recording[known], twice[known], both[known], np.tile(heat, 2)[known], constant, growth=growth)
 
     class Windows(SimpleNamespace):
         def __len__(self):
             return len(self.time)
 
-    windows = {"recording": recording, "time": twice, "heat": np.tile(heat, 2), "duration": np.full(len(twice), 0.004)}
-    rise = found(Windows(**windows))
+    windows = Windows(
+        recording=recording, time=twice, gaps=both, heat=np.tile(heat, 2), duration=np.full(len(twice), 0.004)
+    )
+    rise = found(windows)
     np.testing.assert_allclose(rise, np.tile(truth, 2) / truth.max(), atol=0.01)

@@ -69,9 +69,8 @@ class CopperRecordings(DriveEffect):
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for number, part, x, dx in found.of_parts():
             name, told = f"resistance_change_{number}", _relative(found, x)
-            cools = "pause" in part and bool(np.isfinite(found.time_constant))  # which its heat does not know
-            odd = not cools and not _MOST_COOLED < told["kelvin"] < _MOST_WARMED
-            key = "resistance_change.odd" if odd else "resistance_change.cools" if cools else "resistance_change"
+            odd = not _MOST_COOLED < told["kelvin"] < _MOST_WARMED
+            key = "resistance_change.odd" if odd else "resistance_change"
             entry = found.entry(name, x, dx, "ohm", key, **part, **told)
             yield replace(entry, doubtful=True) if odd else entry
 

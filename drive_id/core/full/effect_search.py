@@ -7,9 +7,9 @@ error on data left out, segment by segment of time. What physics excludes is no 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import count
 
 import numpy as np
@@ -26,6 +26,7 @@ from drive_id.core.full.linearized import (
     misfits,
     remains,
     settled,
+    settled_over,
     with_hidden_ripple,
 )
 from drive_id.core.full.model import PENALTIES, FullModel, ModelSpec
@@ -49,6 +50,8 @@ _CERTAIN = 2.0
 _MOST_GAIN = 10.0
 """Gain of a segment relative to the median, beyond which it counts no more: where the speed was reversed, one segment
 gained 200 times as much as others, and iron loss that saves 94 % of the squares was not confirmed."""
+_FEW = 4000
+"""Windows over which a set is searched first: neighbours overlap. All of them confirm it."""
 _WIDE, _DEEP = 5, 6
 """Sets that are extended at a time, and most members of a set."""
 _LINEARIZATIONS, _CONFIRMATIONS = 4, 4
@@ -102,6 +105,10 @@ class _Rules:
     one_speed: bool
     parts: int  # of the data
     least: float  # squared residuals that matter to nobody, and what the current does between samples, (Vs)^2
+
+    def among(self, sums: WindowSums) -> _Rules:
+        """Return the rules of a search over some of the windows."""
+        return replace(self, sums=sums, least=self.least * sums.counts.sum() / max(self.sums.counts.sum(), 1.0))
 
     def without(self, name: str) -> _Rules:
         """Return the rules of a search without an effect, or a delay."""
@@ -257,22 +264,27 @@ def search_effects(
         Default: the number at which an eccentric resolver explains most of the residuals.
     """
     plain, model = solution.spec, sums.model
-    first = settled(sums, plain, first_columns(sums, solution, noise, pole_pairs))
-    own, rows = model.effect("remainder").start, max(solution.rows, 1.0)
-    least = _LEAST_VOLTAGE**2 / _PRICE * rows * first.solver.total_voltage + float(first.solver.total[own, own])
-    one_speed = not several_speeds(noise.windows.speed.mean(axis=1))
-    rules = _Rules(sums, plain, noise, tuple(allowed), turn, one_speed, parts(sums.kept()), least)
-    state, chosen, search = _about_its_best(_about_lateness(_about_decimation(first, rules), rules), first, rules)
-    every = rules
+    few, columns = sums.sampled(_FEW), first_columns(sums, solution, noise, pole_pairs)
+    plain_fit = settled(few, plain, columns)
+    own, rows = model.effect("remainder").start, max(plain_fit.solution.rows, 1.0)
+    solver, one_speed = plain_fit.solver, not several_speeds(noise.windows.speed.mean(axis=1))
+    least = _LEAST_VOLTAGE**2 / _PRICE * rows * solver.total_voltage + float(solver.total[own, own])
+    rules = _Rules(few, plain, noise, tuple(allowed), turn, one_speed, parts(sums.kept()), least)
+    start, every = _about_lateness(_about_decimation(plain_fit, rules), rules), rules.among(sums)
+    whole_fit = cache(lambda: plain_fit if few is sums else settled(sums, plain, columns))
     for number in count(1):
-        state, chosen = _among_rivals(state, search, chosen)
+        state, chosen, search = _about_its_best(start, lambda: plain_fit, rules)
+        if few is not sums:
+            of_all = rules.among(sums)
+            state = settled_over(sums, of_all.variant(chosen), state) if chosen.members else whole_fit()
+            state, chosen, search = _about_its_best(state, whole_fit, of_all, chosen)
+        state, chosen = _among_rivals(state, search, chosen, rules)
         weak = _unconfirmed(state, search, chosen)
         if weak is None:
             break
         rules = rules.without(weak)
         if number >= _CONFIRMATIONS:  # no new ones from now on, so that it ends soon
             rules = replace(rules, allowed=tuple(sorted(chosen.names - {weak})))
-        state, chosen, search = _about_its_best(state, first, rules)
     delay = state.found.delay
     if chosen.delay != plain.delay:
         delay = Delay(chosen.delay, delay.sigma)
@@ -313,9 +325,20 @@ def _about_lateness(first: EffectSearch, rules: _Rules) -> EffectSearch:
     return min(states, key=lambda state: state.solution.residual_rms)
 
 
-def _about_its_best(state: EffectSearch, first: EffectSearch, rules: _Rules) -> tuple[EffectSearch, _Set, _Search]:
-    """Linearize about the best set, and search again, until it stays; ``first`` is the fit without effects."""
-    plain, chosen = rules.plain, _Set(frozenset(), rules.plain.delay, np.inf, np.inf, frozenset())
+def _about_its_best(
+    state: EffectSearch, first: Callable[[], EffectSearch], rules: _Rules, chosen: _Set | None = None
+) -> tuple[EffectSearch, _Set, _Search]:
+    """Linearize about the best set, and search again, until it stays.
+
+    Parameters
+    ----------
+    state : EffectSearch
+        Linearized about ``chosen``, or about another fit.
+    first : callable
+        Returns the fit without effects.
+    """
+    plain = rules.plain
+    chosen = chosen or _Set(frozenset(), plain.delay, np.inf, np.inf, frozenset())
     for _ in range(_LINEARIZATIONS):
         search = rules.search_about(state)
         best = search.run()
@@ -329,18 +352,19 @@ def _about_its_best(state: EffectSearch, first: EffectSearch, rules: _Rules) -> 
                 physical = (2 * best.delay).is_integer() and abs(best.delay - delay.value) < delay.tolerance
                 best = best if physical else replace(best, delay=delay.value)
                 state = replace(state, found=replace(state.found, delay=delay))
-        if best.members == chosen.members and abs(best.delay - chosen.delay) < _SAME_DELAY:
-            break
+        same = best.members == chosen.members and abs(best.delay - chosen.delay) < _SAME_DELAY
         chosen, delay = best, state.found.delay
+        if same:
+            break
         if not best.members:
-            state = first
+            state = first()
             continue
         about = replace(state.found.columns, estimate=rules.solved(state.solver, best).estimate)
         state = settled(rules.sums, rules.variant(best), about)
         state = with_hidden_ripple(rules.sums, state, rules.noise)
         state = replace(state, found=replace(state.found, delay=delay))
     if not chosen.members:
-        state = first
+        state = first()
     return state, chosen, search
 
 
@@ -365,8 +389,11 @@ def _taken(search: _Search, chosen: _Set) -> Iterator[Taken]:
 def _undecided(search: _Search, chosen: _Set, rows: float) -> str:
     """Return the effect that would save most beside a set, if that is more than noise lets it; else nothing.
 
-    It saves less than its price, which a misfit of the map may save as well: whether the drive has it is open.
+    It saves less than its price, which a misfit of the map may save as well: whether the drive has it is open. Without
+    other effects, that misfit is all there is to save.
     """
+    if not chosen.members:
+        return ""
     least, best = SIGNIFICANCE**2 * chosen.squares / rows, ""
     for name in search.rules.allowed:
         if name not in chosen.names and search.allows(names := chosen.names | {name}, chosen.delay):
@@ -375,7 +402,7 @@ def _undecided(search: _Search, chosen: _Set, rows: float) -> str:
     return best
 
 
-def _among_rivals(state: EffectSearch, search: _Search, chosen: _Set) -> tuple[EffectSearch, _Set]:
+def _among_rivals(state: EffectSearch, search: _Search, chosen: _Set, of_few: _Rules) -> tuple[EffectSearch, _Set]:
     """Linearize about sets with another effect that turns the flux, too, and return what predicts data left out best.
 
     Only where such an effect moves currents by more than the map bends over, so that the columns about another set tell
@@ -389,15 +416,17 @@ def _among_rivals(state: EffectSearch, search: _Search, chosen: _Set) -> tuple[E
         for name, other, share in search.exchanged(chosen, member)
         if name in _TURNING and share > _RIVAL
     ]
-    rules, sums = search.rules, search.rules.sums
-    about = {each: replace(state.found.columns, estimate=rules.solved(state.solver, each).estimate) for each in others}
-    kept = sums.kept()
-    if not any(columns.bends(rules.variant(each), kept) for each, columns in about.items()):
+    rules, kept = search.rules, search.rules.sums.kept()
+    about = {
+        each: replace(state.found.columns, estimate=rules.solved(state.solver, each).estimate)
+        for each in (*others, chosen)
+    }
+    if not any(about[each].bends(rules.variant(each), kept) for each in others):
         return state, chosen
-    states = {chosen: state} | {each: settled(sums, rules.variant(each), about[each]) for each in others}
+    states = {each: settled(of_few.sums, of_few.variant(each), columns) for each, columns in about.items()}
     errors = {each: one.solver.left_out(one.solution.spec)[:, 0] for each, one in states.items()}
     best = min(errors, key=lambda each: float(errors[each][predictable(errors[each])].mean()))
-    return states[best], best
+    return (state if best is chosen else settled_over(rules.sums, rules.variant(best), states[best])), best
 
 
 def _unconfirmed(state: EffectSearch, search: _Search, chosen: _Set) -> str | None:

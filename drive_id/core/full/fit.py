@@ -292,8 +292,8 @@ def _causes(
         tried = effects_to_try(sums, known)
         causes = tested_causes(sums, solver, reciprocal, tried, noise)
         misfit = replace(misfit, causes=causes)
-    if misfit.ratio <= LEAST_TOLD:
-        return misfit, None
+    if selection.jump is not None or misfit.ratio <= LEAST_TOLD:
+        return misfit, selection.jump
     every = Windows.joined(list(sums.kept()))
     return misfit, delay_jump(every, sums.model.residuals(every, judged.solution.estimate))
 

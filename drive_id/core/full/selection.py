@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.common.origins import ORIGINS
 from drive_id.core.fit_settings import MOST_ORDERS, FitSettings
-from drive_id.core.full.delay import Delay
+from drive_id.core.full.delay import Delay, DelayJump, delay_jump
 from drive_id.core.full.effect_search import (
     LEAST_BESIDE,
     effect_savings,
@@ -67,8 +67,6 @@ _MISFIT_WINDOWS = 6000
 promise a gain."""
 _REFINEMENTS = 4
 """Most divisions of the cells, each to a half or a quarter: from 28 to 0.1 A at i_max = 400 A."""
-_SMOOTH = 1.0
-"""Penalty of fine cells at first: effects are linearized about the map, which fine cells make rough."""
 _LOCAL = 1e-3
 """Misfit of a cell, relative to the integrated voltage, that matters to nobody."""
 _LEAST_SHARE = 0.03
@@ -88,6 +86,7 @@ class Selection:
     # excess of the residuals of windows with a zero crossing, see
     # :func:`~drive_id.core.full.zero_crossings.between_crossings`; NaN where the fit includes them
     crossings: float = np.nan
+    jump: DelayJump | None = None  # of the delay of the voltages, which no variant follows: nothing else was selected
 
     @property
     def solver(self) -> Solver:
@@ -104,6 +103,11 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         sums = sums.freed(sums.model.orders)
     crossings, solver = np.nan, Solver.over(sums)
     start = _aligned(sums, solver, settings, turn)
+    if _jump(sums, start) is not None:
+        candidate = _candidate(sums, _undelayed(solver, start, settings), settings, turn, noise)
+        search = candidate.search
+        if (jump := _jump(search.sums, search.solution)) is not None:
+            return Selection(search.solution, search, jump=jump)
     bounded = noise.at_most(solver, start)  # fast currents look like noise to their differences
     sums, solver, start = _resolved(sums, solver, start, bounded)
     # without a motion of the rotor, only windows near zero current tie the map to its value there
@@ -138,6 +142,11 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     return replace(_with_free_maps(sums, candidate, settings, turn, noise), crossings=crossings)
 
 
+def _jump(sums: WindowSums, solution: FullSolution) -> DelayJump | None:
+    windows = Windows.joined(list(sums.kept()))
+    return delay_jump(windows, sums.model.residuals(windows, solution.estimate))
+
+
 def _with_finer_cells(
     sums: WindowSums, candidate: _Candidate, settings: FitSettings, turn: float, noise: CurrentNoise
 ) -> _Candidate:
@@ -150,18 +159,20 @@ def _with_finer_cells(
     for _ in range(_REFINEMENTS):
         search = candidate.search
         solution, resolution = search.solution, search.solver.model.resolution
-        turned, cells, penalty = turning(search.found.taken), resolution, solution.spec.penalty
+        turned, cells = turning(search.found.taken), resolution
         if turned and not bent:
             cells = resolution.where_bent(*_bends(search.solver.model, solution))
         by_misfit = cells is resolution
         if by_misfit:
             misfit = _misfit(search.sums, solution, noise, search.solver.total_voltage)
-            cells, penalty = (cells.finer(misfit) if misfit.shows else cells), _SMOOTH
+            cells = cells.finer(misfit) if misfit.shows else cells
         if cells is resolution or not solution.spec.reciprocal:
             break
         finer = sums.over(replace(sums.model, cells=cells))
+        if by_misfit and not _gain(finer, candidate):
+            break
         solver, delay = Solver.over(finer), 0.0 if settings.calibrate_delay else settings.voltage_delay
-        spec = replace(solution.spec, effects=(), delay=delay, penalty=penalty)
+        spec = replace(solution.spec, effects=(), delay=delay)
         found = _candidate(finer, solver.solve(spec), settings, turn, noise)
         better = _saves if turned != turning(found.search.found.taken) else _clearly_better
         if better(solver, candidate.error, found.error):
@@ -170,6 +181,13 @@ def _with_finer_cells(
             break
         bent = True
     return candidate
+
+
+def _gain(finer: WindowSums, candidate: _Candidate) -> bool:
+    """Tell whether finer cells promise a gain on held-out data with the effects as they are: a search takes long."""
+    search = candidate.search
+    solver = Solver.over(search.linearized(finer))
+    return solver.left_out_if_less(search.solution.spec, candidate.error) is not None
 
 
 def _resolved(

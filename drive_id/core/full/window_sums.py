@@ -136,6 +136,13 @@ class WindowSums:
         kept = self._short if short else self._kept
         return self.over(self.model, {number: change(windows) for number, windows in kept.items()})
 
+    def sampled(self, most: int) -> WindowSums:
+        """Return the sums over about so many of the kept windows, evenly over them, without effects, or these sums."""
+        every = sum(map(len, self.kept())) // most
+        if every < 2:
+            return self
+        return self.changed(lambda windows: windows.part(kept_of(np.arange(len(windows)), every)))
+
     def with_effects(self, columns: Callable[[Windows], ComplexArray]) -> WindowSums:
         """Return sums that include the effects' columns of the kept windows.
 

@@ -347,6 +347,21 @@ def test_what_is_kept_of_the_segments_is_not_in_step_with_any_period(every):
     assert np.abs(np.exp(2j * np.pi * np.outer(turns, kept)).mean(axis=1)).max() < 4 / np.sqrt(len(kept))
 
 
+def test_samples_of_the_windows_are_even(model, samples):
+    """Of each segment, in its fold, and not in step with it: their mean products are those of all."""
+    sums = WindowSums(model)
+    sums.add(samples)
+    sums = sums.finished()
+    some = sums.sampled(sums.windows // 3)
+    assert some.windows == pytest.approx(sums.windows / 3, rel=0.05)
+    assert some.kept_folds() == sums.kept_folds()
+    for one, every in zip(
+        np.diagonal(some.folds, axis1=1, axis2=2), np.diagonal(sums.folds, axis1=1, axis2=2), strict=True
+    ):
+        assert 3 * one[VOLTAGE] == pytest.approx(every[VOLTAGE], rel=0.1)
+    assert sums.sampled(sums.windows) is sums
+
+
 def test_windows_beyond_the_range_are_counted_and_left_out(samples):
     narrow = FullModel(LOW / 2, HIGH / 2, 300.0, (6,))
     information = gathered(narrow, samples)

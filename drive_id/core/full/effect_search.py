@@ -50,8 +50,9 @@ _CERTAIN = 2.0
 _MOST_GAIN = 10.0
 """Gain of a segment relative to the median, beyond which it counts no more: where the speed was reversed, one segment
 gained 200 times as much as others, and iron loss that saves 94 % of the squares was not confirmed."""
-_FEW = 4000
-"""Windows over which a set is searched first: neighbours overlap. All of them confirm it."""
+_FEW, _PER_COLUMN = 4000, 4
+"""Windows over which a set is searched first, and the least number for each column of the sums: neighbours overlap, and
+all of them confirm the set."""
 _WIDE, _DEEP = 5, 6
 """Sets that are extended at a time, and most members of a set."""
 _LINEARIZATIONS, _CONFIRMATIONS = 4, 4
@@ -264,7 +265,8 @@ def search_effects(
         Default: the number at which an eccentric resolver explains most of the residuals.
     """
     plain, model = solution.spec, sums.model
-    few, columns = sums.sampled(_FEW), first_columns(sums, solution, noise, pole_pairs)
+    few = sums.sampled(max(_FEW, _PER_COLUMN * model.summed.size))
+    columns = first_columns(sums, solution, noise, pole_pairs)
     plain_fit = settled(few, plain, columns)
     own, rows = model.effect("remainder").start, max(plain_fit.solution.rows, 1.0)
     solver, one_speed = plain_fit.solver, not several_speeds(noise.windows.speed.mean(axis=1))

@@ -56,6 +56,8 @@ class Assessment:
     # last the change with the shapes of the inverter's curve. ``changes @ changes.T`` is the covariance of the
     # estimate, consistent for heteroscedastic and autocorrelated residuals, biases included.
     changes: FloatArray
+    # (B,), of these: "noise" of the batches, "bias", "misfit", "open" of a delay, an effect or its rival, and "curve"
+    sources: tuple[str, ...]
     misfit: LackOfFit  # residuals beyond noise
     speeds: FloatArray  # (N,), electrical speeds of windows, rad/s
     drop_slope: float  # mean slope of the inverter's curve over the measured currents, ohm
@@ -238,6 +240,7 @@ class _Judged:
     uncorrected: FullSolution
     solution: FullSolution
     changes: FloatArray  # as in Assessment
+    sources: tuple[str, ...]
     energy: FloatArray  # (B,), of the residuals of each batch of time, and when that is, s
     times: FloatArray
     misfit: LackOfFit
@@ -259,8 +262,9 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
             solution = enforce_passivity(solver, solution)
         batches, energy, times, misfit = residual_statistics(sums, solution, noise)
         by_delay = _by_delay(solver, uncorrected, selection)
-        biases = (solver.shrinkage(solution), by_noise, UNCERTAIN_SHARE * solver.by_remainder(solution), by_delay)
-        own = np.column_stack([batches, *biases, misfit.changes])
+        biases = (solver.shrinkage(solution), by_noise, UNCERTAIN_SHARE * solver.by_remainder(solution))
+        within = [("noise", batches), ("bias", np.column_stack(biases)), ("open", by_delay), ("misfit", misfit.changes)]
+        own = np.column_stack([changes for _, changes in within])
         weak = _weakest(sums.model, solution, own)  # another model moves an effect: it does not show that there is none
         if weak is None:
             break
@@ -270,10 +274,12 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
     by_rivals = _with_rivals(solver, uncorrected, selection)
     undecided = _with_undecided(solver, uncorrected, selection)
     by_curve = _among_curves(solver, solution, batches, crossed)
-    among = np.column_stack([undecided, *left_out.values(), *by_rivals.values(), by_curve])
+    open_effects = np.column_stack([undecided, *left_out.values(), *by_rivals.values()])
+    columns = [(name, np.column_stack([each])) for name, each in (*within, ("open", open_effects), ("curve", by_curve))]
     by_open = {DELAY: by_delay, selection.search.found.undecided: undecided} | left_out
     return _Judged(
-        uncorrected=uncorrected, solution=solution, changes=np.hstack([own, among]), energy=energy, times=times,
+        uncorrected=uncorrected, solution=solution, changes=np.hstack([each for _, each in columns]),
+        sources=tuple(name for name, each in columns for _ in each.T), energy=energy, times=times,
         misfit=misfit, by_rivals=by_rivals, by_open=by_open,
     )  # fmt: skip
 
@@ -306,6 +312,7 @@ def _assessment(selection: Selection, judged: _Judged, misfit: LackOfFit, jump: 
     durations = np.concatenate([windows.duration for windows in kept])
     return Assessment(
         changes=judged.changes,
+        sources=judged.sources,
         misfit=misfit,
         speeds=speeds,
         drop_slope=_drop_slope(sums.model, judged.solution, kept),

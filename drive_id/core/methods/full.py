@@ -103,8 +103,10 @@ class FullMethod:
         )
         earlier, scaled = EarlierFit.of(fit), calibration.by_hidden_faults(fit, found, grid[inside])
         if scaled.any():
-            changes = np.column_stack([scaled, fit.assessment.changes])
-            fit = replace(fit, assessment=replace(fit.assessment, changes=changes))
+            scaled, assessment = scaled.reshape(len(scaled), -1), fit.assessment
+            sources = (*["sensors"] * scaled.shape[1], *assessment.sources)
+            changes = np.hstack([scaled, assessment.changes])
+            fit = replace(fit, assessment=replace(assessment, changes=changes, sources=sources))
             frame = replace(frame, fit=fit)
             sigma = _sigma(frame, grid, inside)
         current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)

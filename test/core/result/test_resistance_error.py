@@ -11,18 +11,21 @@ from drive_id.core.full.model import RESISTANCE
 from drive_id.core.result.resistance_error import growth
 
 
-def assessment(noise, misfit, curve):
-    """Changes of one unknown, R: four batches of time, four biases, two groups, and the curve."""
-    own = np.array([*[noise / 2] * 4, 0.0, 0.0, 0.0, 0.0, *[misfit / np.sqrt(2)] * 2, curve])
-    changes = np.zeros((RESISTANCE + 1, len(own))) if RESISTANCE >= 0 else own[None]
+def assessment(noise, misfit, curve, left_open=0.0):
+    """Changes of R by four batches of time, a bias, a delay, two groups, a rival and the curve."""
+    own = [*[noise / 2] * 4, 0.0, left_open * 0.6, *[misfit / np.sqrt(2)] * 2, left_open * 0.8, curve]
+    changes = np.zeros((RESISTANCE + 1, len(own)))
     changes[RESISTANCE] = own
-    return SimpleNamespace(changes=changes, misfit=SimpleNamespace(changes=changes[:, 8:10]))
+    return SimpleNamespace(
+        changes=changes, sources=(*["noise"] * 4, "bias", "open", "misfit", "misfit", "open", "curve")
+    )
 
 
 @pytest.mark.parametrize(
     ("parts", "cause"),
     [((1e-5, 2e-5, 5e-5), "inverter's drop still bends"), ((1e-5, 5e-5, 2e-5), "what the model cannot follow"),
-     ((5e-5, 1e-5, 2e-5), "residuals of later samples are larger")],
+     ((5e-5, 1e-5, 2e-5), "residuals of later samples are larger"),
+     ((1e-5, 0.0, 2e-5, 5e-5), "leave open whether the voltages are late")],
 )  # fmt: skip
 def test_the_largest_cause_is_named(parts, cause):
     said = growth(assessment(*parts), 5.5e-5, (85_000, 2.5e-5))

@@ -277,9 +277,7 @@ def search_effects(
     for number in count(1):
         state, chosen, search = _about_its_best(start, lambda: plain_fit, rules)
         if few is not sums:
-            of_all = rules.among(sums)
-            state = settled_over(sums, of_all.variant(chosen), state) if chosen.members else whole_fit()
-            state, chosen, search = _about_its_best(state, whole_fit, of_all, chosen)
+            state, chosen, search = _over_all(state, chosen, whole_fit, rules.among(sums))
         state, chosen = _among_rivals(state, search, chosen, rules)
         weak = _unconfirmed(state, search, chosen)
         if weak is None:
@@ -402,6 +400,14 @@ def _undecided(search: _Search, chosen: _Set, rows: float) -> str:
             saved = (chosen.squares - search.of(names, chosen.delay).squares) / CATALOGUE[name].width
             least, best = (saved, name) if saved > least else (least, best)
     return best
+
+
+def _over_all(
+    state: EffectSearch, chosen: _Set, first: Callable[[], EffectSearch], rules: _Rules
+) -> tuple[EffectSearch, _Set, _Search]:
+    """Repeat a search over few windows over those of the rules, from where it ended."""
+    state = settled_over(rules.sums, rules.variant(chosen), state) if chosen.members else first()
+    return _about_its_best(state, first, rules, chosen)
 
 
 def _among_rivals(state: EffectSearch, search: _Search, chosen: _Set, of_few: _Rules) -> tuple[EffectSearch, _Set]:

@@ -92,8 +92,8 @@ def settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> Effect
 
 
 def settled_over(sums: WindowSums, spec: ModelSpec, state: EffectSearch) -> EffectSearch:
-    """Solve about what settled over other windows."""
-    found = settled(sums, spec, replace(state.found.columns, estimate=state.solution.estimate))
+    """Solve with the columns that settled over other windows: about the solution itself, the residuals may grow."""
+    found = settled(sums, spec, state.found.columns)
     return replace(found, found=replace(found.found, delay=state.found.delay))
 
 

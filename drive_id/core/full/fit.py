@@ -12,12 +12,12 @@ from scipy import sparse
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
-from drive_id.core.full.delay import HALF, Delay, DelayJump, delay_jump
+from drive_id.core.full.delay import HALF, Delay, DelayJump
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.lack_of_fit import LackOfFit
 from drive_id.core.full.linearized import DELAY, EffectSearch, FoundEffects
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
-from drive_id.core.full.selection import Selection, effects_to_try, select, tested_causes
+from drive_id.core.full.selection import Selection, effects_to_try, jump_left, select, tested_causes
 from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver, correct_attenuation
 from drive_id.core.full.standard_errors import SIGNIFICANCE, residual_statistics, sigma
 from drive_id.core.full.window_sums import WindowSums
@@ -289,6 +289,8 @@ def _causes(
 ) -> tuple[LackOfFit, DelayJump | None]:
     """Return the lack of fit with its likely causes, and where the delay of the voltages changes."""
     sums, solver, misfit, found = selection.search.sums, selection.solver, judged.misfit, judged.solution.spec
+    if selection.jump is not None:
+        return misfit, selection.jump
     if misfit.ratio > LEAST_TOLD or not found.reciprocal:
         spec = selection.search.solution.spec
         expected = tuple(order for order in spec.orders if order in settings.harmonic_orders)
@@ -298,10 +300,7 @@ def _causes(
         tried = effects_to_try(sums, known)
         causes = tested_causes(sums, solver, reciprocal, tried, noise)
         misfit = replace(misfit, causes=causes)
-    if selection.jump is not None or misfit.ratio <= LEAST_TOLD:
-        return misfit, selection.jump
-    every = Windows.joined(list(sums.kept()))
-    return misfit, delay_jump(every, sums.model.residuals(every, judged.solution.estimate))
+    return misfit, jump_left(sums, judged.solution) if misfit.ratio > LEAST_TOLD else None
 
 
 def _assessment(selection: Selection, judged: _Judged, misfit: LackOfFit, jump: DelayJump | None) -> Assessment:

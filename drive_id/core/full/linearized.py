@@ -59,8 +59,7 @@ class EffectSearch:
 
     def linearized(self, sums: WindowSums) -> WindowSums:
         """Return other sums with the columns of the effects, and with currents in the map, as here."""
-        columns = self.found.columns
-        return (sums.changed(columns.moved) if self.sums.kept()[0].moved is not None else sums).with_effects(columns)
+        return _with_columns(sums, self.found.columns, move=self.sums.kept()[0].moved is not None)
 
 
 def first_columns(
@@ -105,7 +104,7 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
     best: EffectSearch | None = None
     columns = replace(columns, delay=spec.delay)
     for _ in range(_SETTLING):
-        extended = (sums.changed(columns.moved) if move else sums).with_effects(columns)
+        extended = _with_columns(sums, columns, move=move)
         solver = Solver.over(extended)
         found = EffectSearch(extended, solver, solver.solve(spec), FoundEffects(columns))
         change = -1.0 if best is None else found.solution.residual_rms / best.solution.residual_rms - 1.0
@@ -117,6 +116,10 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
         columns = replace(columns, estimate=found.solution.estimate)
         columns = _attuned(columns, solver.model, spec, extended.kept())
     return found
+
+
+def _with_columns(sums: WindowSums, columns: EffectColumns, *, move: bool) -> WindowSums:
+    return (sums.changed(columns.moved) if move else sums).with_effects(columns)
 
 
 def _attuned(columns: EffectColumns, model: FullModel, spec: ModelSpec, kept: Sequence[Windows]) -> EffectColumns:

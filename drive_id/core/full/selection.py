@@ -103,10 +103,10 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         sums = sums.freed(sums.model.orders)
     crossings, solver = np.nan, Solver.over(sums)
     start = _aligned(sums, solver, settings, turn)
-    if _jump(sums, start) is not None:
+    if jump_left(sums, start) is not None:
         candidate = _candidate(sums, _undelayed(solver, start, settings), settings, turn, noise)
         search = candidate.search
-        if (jump := _jump(search.sums, search.solution)) is not None:
+        if (jump := jump_left(search.sums, search.solution)) is not None:
             return Selection(search.solution, search, jump=jump)
     bounded = noise.at_most(solver, start)  # fast currents look like noise to their differences
     sums, solver, start = _resolved(sums, solver, start, bounded)
@@ -142,7 +142,8 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     return replace(_with_free_maps(sums, candidate, settings, turn, noise), crossings=crossings)
 
 
-def _jump(sums: WindowSums, solution: FullSolution) -> DelayJump | None:
+def jump_left(sums: WindowSums, solution: FullSolution) -> DelayJump | None:
+    """Return the jump of the delay of the voltages that a solution leaves, if there is one."""
     windows = Windows.joined(list(sums.kept()))
     return delay_jump(windows, sums.model.residuals(windows, solution.estimate))
 

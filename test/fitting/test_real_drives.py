@@ -159,6 +159,23 @@ def test_an_effect_is_found_and_corrected(name):
     assert max(found.report.mad_d, found.report.mad_q) < case.deviation * noise
 
 
+@pytest.mark.parametrize("symmetry", [True, False])
+def test_a_late_angle_shows_in_a_speed_that_swings_and_is_an_offset_at_its_mean(symmetry):
+    """By 3 % of its angle, as an eccentric resolver would; without the symmetry, it is all that turns the frame."""
+    latency = 1.5e-4
+    simulation = run_experiment(IPM, replace(GOOD, speed_ripple=0.03, resolver_latency=latency), None, SECONDS)
+    found = fitted(simulation.samples, pole_pairs=IPM.pole_pairs, calibrate_angle=symmetry)
+    truth = simulation.truth
+    effects = {entry.name: entry for entry in found.calibrations if entry.applied}
+    assert effects.keys() == {"angle_latency", "resolver_offset"}
+    entry, offset = effects["angle_latency"], effects["resolver_offset"]
+    assert abs(entry.value - 1e6 * latency) < 3 * entry.sigma < 0.1e6 * latency
+    speed = np.deg2rad(6 * GOOD.speeds[0]) * IPM.pole_pairs
+    assert offset.value == pytest.approx(-latency * speed, abs=max(3 * offset.sigma, 1e-4))
+    assert ("symmetry" in str(offset.message)) == symmetry
+    assert 100 * max(score(found, truth)) < (FLUX if symmetry else 0.3)  # of 3 % by an angle that is off
+
+
 def sensors(found):
     """Return rotation of the currents and complex gain mismatch."""
     values = {entry.name: entry.value for entry in found.calibrations if entry.applied}

@@ -43,8 +43,9 @@ wide enough that the noise of the map is not fed back through the bow. With the 
 degrees per sample reached 3.6 % of psi_q instead of 0.6 %."""
 _TABLE = 4001
 """Currents at which the drop is tabulated."""
-_PARTS = 8
-"""Parts of a sample in which the current is straight."""
+_PARTS = 6
+"""Parts of a sample in which the current is straight. What it bows within them is 1 / 6^2 of what it bows over the
+sample, and is added: on twelve drives, within 0.1 to 4 % of 32 parts, as 8 parts without it."""
 _ROUNDS, _DAMPING = 8, 0.6
 """Most iterations for the current between samples, and the share of each change that is made: a drop with a steep step
 overshoots with all of it."""
@@ -281,7 +282,9 @@ def _integrate(
                 )  # fmt: skip
                 if change < settled:
                     break
-            out[n] += period[n] * (summed[_PARTS] - 0.5 * resistance * (i_s[0] + i_s[1]))
+            mean = _drop_between(drop, primitive, first, step, axes, i_s[0], i_s[1], drop_scale[n])
+            bowed_more = summed[_PARTS] - 0.5 * resistance * (i_s[0] + i_s[1]) - mean
+            out[n] += period[n] * (mean + bowed_more * _PARTS**2 / (_PARTS**2 - 1.0))
             if (k + 1) % spaced == 0:
                 mean = _drop_between(drop, primitive, first, step, axes, before, i_s[1], drop_scale[n])
                 out[n] -= spaced * period[n] * mean

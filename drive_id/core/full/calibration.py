@@ -15,6 +15,7 @@ from drive_id.core.full.delay import Delay
 from drive_id.core.full.effects.effect import VOLTAGE_MISMATCH, Calibration
 from drive_id.core.full.fit import FullFit
 from drive_id.core.full.model import CONSTANT, RESISTANCE
+from drive_id.core.full.standard_errors import sigma as fitted_sigma
 from drive_id.core.full.windows import MOST_DELAY, SEARCHED
 from drive_id.core.maps.flux_models import BasisRows, jacobian
 from drive_id.core.numerics.threads import one_blas_thread
@@ -36,7 +37,7 @@ _LEAST_LOST = 1e-3
 """Share of the voltages that a filter takes from which on it is warned of: what moves the flux by 0.1 %."""
 _MIRROR = np.array([1.0, -1.0])
 """Signs of d and q in the mirror image."""
-CURRENT_ROTATION = "current_rotation"
+CURRENT_ROTATION, RESOLVER_OFFSET = "current_rotation", "resolver_offset"
 
 
 def rotated(i_dq: FloatArray, angle: float) -> FloatArray:
@@ -214,7 +215,7 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     Calibration
         Measured minus true electrical angle, rad.
     """
-    name, unit = "resolver_offset", "rad"
+    name, unit = RESOLVER_OFFSET, "rad"
     if not len(i_dq):
         return Calibration(name, 0.0, float("nan"), unit, False, Message("resolver_offset.one_sided"))
     symmetry = _Symmetry(fit, i_dq)
@@ -234,6 +235,27 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
     elif abs(angle) < _SIGNIFICANCE * skew:
         key = "resolver_offset.skew"
     return Calibration(name, angle, told["sigma"], unit, key == name, Message(key, **told))
+
+
+def with_lateness(fit: FullFit, found: Sequence[Calibration]) -> list[Calibration]:
+    """Return calibrations whose offset of the angle includes that of a late angle at the one speed of the data.
+
+    An offset that the map's symmetry shows does; otherwise it is that of the late angle.
+    """
+    steady, out = fit.selection.search.found.columns.steady, list(found)
+    if not steady or "angle_latency" not in fit.spec.effects:
+        return out
+    own = fit.model.effect("angle_latency")
+    late = -steady * float(fit.solution.estimate[own][0])
+    sigma = abs(steady) * float(fitted_sigma(fit.assessment.changes[own])[0])
+    for k, entry in enumerate(found):
+        if entry.name == RESOLVER_OFFSET and entry.applied:
+            told = Message("resolver_offset.with_lateness", **entry.message.values, late=late, late_sigma=sigma)
+            out[k] = replace(entry, message=told)
+            return out
+    told = Message("resolver_offset.lateness", value=late, sigma=sigma, skew=sigma)
+    others = [entry for entry in found if entry.name != RESOLVER_OFFSET]
+    return [*others, Calibration(RESOLVER_OFFSET, late, sigma, "rad", True, told)]
 
 
 def cross_talk(calibrations: Sequence[Calibration]) -> bool:
@@ -300,7 +322,7 @@ def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArra
         # the same voltages at other currents: R i and f(i) are stretched along i
         of_current[RESISTANCE] = of_currents * fit.solution.resistance
         of_current[model.map] = by_flux(by_current(of_currents * i_dq))
-    if skew := next((_skew(entry) for entry in found if entry.name == "resolver_offset"), 0.0):
+    if skew := next((_skew(entry) for entry in found if entry.name == RESOLVER_OFFSET), 0.0):
         quarter = np.array([[0.0, 1.0], [-1.0, 0.0]])  # currents and fluxes turn together
         turned = model.flux.rows(i_dq).dot(estimate[model.map]) @ quarter - by_current(i_dq @ quarter)
         of_angle[model.map] = by_flux(skew * turned)
@@ -327,7 +349,7 @@ def corrected(samples: Samples, calibrations: Sequence[Calibration]) -> Samples:
         samples,
         i_abc=frames.phases(i_s),
         u_abc=frames.phases(u_s),
-        angle=samples.angle - found.get("resolver_offset", 0.0),
+        angle=samples.angle - found.get(RESOLVER_OFFSET, 0.0),
     )
 
 

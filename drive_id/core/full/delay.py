@@ -13,7 +13,7 @@ from drive_id.core.full.window_sums import SEGMENT
 from drive_id.core.full.windows import MOST_DELAY, Windows
 from drive_id.types import TINY, FloatArray
 
-SPEEDS_APART = 0.1
+_SPEEDS_APART = 0.1
 """Relative difference from which on speeds are several."""
 _SIGNIFICANCE = 2.0
 """Standard errors by which a delay must differ from zero, about 95 %."""
@@ -39,6 +39,12 @@ _EXACT = 0.02
 _LEAST_JUMP, _LEAST_SHARE = 0.2, 0.1
 """Jump of a delay in what the fit left of it, samples: of one sample, the fit takes half and more; and the share of the
 squared residuals that a jump must explain: without one, it was below 0.002."""
+
+
+def several_speeds(speeds: FloatArray) -> bool:
+    """Tell whether the 5 % of the data at either end have clearly different speeds."""
+    low, high = np.quantile(speeds, [0.05, 0.95])
+    return bool(high - low > _SPEEDS_APART * max(abs(low), abs(high)))
 
 
 @dataclass(frozen=True)
@@ -129,7 +135,7 @@ def delay_jump(windows: Windows, residuals: FloatArray) -> DelayJump | None:
         delays = before[0] / low[0], after[0] / high[0]
         saved = before[0] * delays[0] + after[0] * delays[1] - moment**2 / max(weight, TINY)
         speeds = before[2] / low[2], after[2] / high[2]
-        alike = np.abs(speeds[1] - speeds[0]) < SPEEDS_APART * np.abs(speeds[0])
+        alike = np.abs(speeds[1] - speeds[0]) < _SPEEDS_APART * np.abs(speeds[0])
         share = np.where(alike, saved, 0.0) / max(float(np.sum(np.abs(error[own]) ** 2)), TINY)
         best = int(np.argmax(share))
         jump = float(delays[1][best] - delays[0][best])

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from drive_id.common.messages import Message
-from drive_id.core.full.effect_search import several_speeds
+from drive_id.core.full.delay import several_speeds
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.effects.effect import CERTAIN, Calibration, Reported
 from drive_id.core.full.fit import FullFit

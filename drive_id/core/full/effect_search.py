@@ -15,7 +15,7 @@ from itertools import count
 import numpy as np
 from scipy import sparse
 
-from drive_id.core.full.delay import SPEEDS_APART, Delay, estimate_delay
+from drive_id.core.full.delay import Delay, estimate_delay, several_speeds
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.effects.effect import parts
 from drive_id.core.full.linearized import (
@@ -67,7 +67,7 @@ _FAR = 0.03
 _EVERY_SECOND = -0.25
 """Delay, samples, of a log with every second sample."""
 _LATEST = 0.8
-"""Of angle or currents at one speed, samples: there, a delay of the voltages looks alike, and is more usual."""
+"""Of currents at one speed, samples: there, a delay of the voltages looks alike, and is more usual."""
 _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
 _RIVAL = 0.3
@@ -194,7 +194,8 @@ class _Search:
         if self.rules.one_speed and any(CATALOGUE[name].of_speeds for name in names):
             return False
         found, most = self.subset(names), _LATEST * self.rules.noise.period
-        if self.rules.one_speed and any(abs(found.value(name, delay)[0]) > most for name in names & _LATE):
+        late = names & _LATE & _ROTATING
+        if self.rules.one_speed and any(abs(found.value(name, delay)[0]) > most for name in late):
             return False
         if not all(_plausible(name, found.value(name, delay), self.rules.noise) for name in names):
             return False
@@ -509,12 +510,6 @@ def _price(name: str) -> float:
 def turning(taken: Sequence[Taken]) -> set[str]:
     """Return the names of those effects that turn the flux against the currents."""
     return _TURNING & {each.name for each in taken}
-
-
-def several_speeds(speeds: FloatArray) -> bool:
-    """Tell whether the 5 % of the data at either end have clearly different speeds."""
-    low, high = np.quantile(speeds, [0.05, 0.95])
-    return bool(high - low > SPEEDS_APART * max(abs(low), abs(high)))
 
 
 def with_effects_only(sums: WindowSums, search: EffectSearch, effects: tuple[str, ...]) -> EffectSearch:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from drive_id.core.full.delay import Delay
+from drive_id.core.full.delay import Delay, several_speeds
 from drive_id.core.full.effects.columns import EffectColumns
 from drive_id.core.full.effects.effect import divided
 from drive_id.core.full.link_ripple import ripple_frequency
@@ -71,7 +71,10 @@ def first_columns(
     if np.isnan(mean) and misfits(model, solution, noise):
         ripple = ripple_frequency(model, solution.estimate, [windows])[0]
     columns = EffectColumns(model, solution.estimate, float(windows.heat.max()), mean, pole_pairs, ripple)
-    columns = replace(columns, divided=divided([windows]))
+    speeds = windows.speed.mean(axis=1)
+    columns = replace(
+        columns, divided=divided([windows]), steady=0.0 if several_speeds(speeds) else float(speeds.mean())
+    )
     if pole_pairs is not None:
         return columns
     return replace(columns, pole_pairs=columns.likely_pole_pairs(windows.thinned(SEARCHED)))

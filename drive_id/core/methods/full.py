@@ -12,6 +12,7 @@ from drive_id.common.origins import ORIGINS
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import rotated
+from drive_id.core.full.delay import several_speeds
 from drive_id.core.full.effect_report import (
     OUTLYING,
     effect_entries,
@@ -19,7 +20,6 @@ from drive_id.core.full.effect_report import (
     not_reciprocal_warning,
     unseen_warning,
 )
-from drive_id.core.full.effect_search import several_speeds
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.effects.effect import MOST_PARTS, Calibration, parts
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
@@ -90,7 +90,7 @@ class FullMethod:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()
         found = _calibrations(evidence, fit, grid, inside)
-        offset = next((c.value for c in found if c.name == "resolver_offset" and c.applied), 0.0)
+        offset = next((c.value for c in found if c.name == calibration.RESOLVER_OFFSET and c.applied), 0.0)
         frame = TrueFrame(fit, offset, relative=locked)
         psi = frame.flux(grid)
         sigma = _sigma(frame, grid, inside)
@@ -247,7 +247,7 @@ def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: Bo
         found.append(calibration.calibrate_angle(fit, mirrored))
     if settings.calibrate_currents:
         found += calibration.calibrate_currents(fit, evidence.i_max)
-    return found
+    return calibration.with_lateness(fit, found)
 
 
 def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:

@@ -106,7 +106,7 @@ def test_resistive_voltage_and_drop_over_a_sample_agree_with_integration_in_time
         psi = (magnet[0] + 2e-3 * ends.real + 3e-3j * ends.imag)[None]
         found = between_samples.between_samples(model, estimate, windows, psi)[0]
         expected = y[2] + 1j * y[3] - period * straight
-        assert abs(found - expected) < 0.1 * abs(expected)  # the drop's step falls within one of eight parts
+        assert abs(found - expected) < 0.1 * abs(expected)  # the drop's step falls within one of the parts
 
 
 def test_a_window_of_several_samples_is_the_sum_of_its_parts(monkeypatch):

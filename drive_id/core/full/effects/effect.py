@@ -65,6 +65,7 @@ class Ends:
     induced: ComplexArray  # (N, 2), voltage e in the rotor frame, V
     pole_pairs: int | None
     part: IntArray  # (N,), number of the part of the data, see :func:`divided`
+    steady: float  # the one speed of all data, rad/s; 0 where there are several
 
     def in_runs(self, waves: Sequence[FloatArray | ComplexArray]) -> list[Any]:
         """Return waves (N,) or (N, 2) in each run, as columns of their own."""

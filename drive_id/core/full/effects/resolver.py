@@ -48,6 +48,7 @@ class Eccentricity(DriveEffect):
 
     order: int = 1
     width, of_recordings = 2 * MOST_RUNS, True
+    price = 2e-3  # what a late angle explains as well, where the speed swings, is that
 
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return known.runs <= MOST_RUNS

@@ -50,18 +50,22 @@ def _filtered(windows: Windows, time: float, delay: float) -> ComplexArray:
 
 @dataclass(frozen=True)
 class Latency(DriveEffect):
-    """The angle is late: ``[omega e^{j theta} (j f - f'(i) j i)]`` times the time."""
+    """The angle is late: ``[(omega - omega_0) e^{j theta} (j f - f'(i) j i)]`` times the time.
 
-    turns, late, rotates, cause = True, True, True, "angle"
+    At one speed omega_0, the same angle at any time turns currents and fluxes together, as an offset does: only a speed
+    that swings tells of it. What else it saves is a misfit of the map, which is larger than the swing's part.
+    """
+
+    turns, late, cause = True, True, "angle"
 
     def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
         return bool(abs(value[0]) < min(MOST_DELAY, _MOST_TURNED / turn) * period)
 
     def turned(self, at: Ends, value: FloatArray) -> FloatArray:  # noqa: D102
-        return np.asarray(value[0] * at.windows.speed)
+        return np.asarray(value[0] * (at.windows.speed - at.steady))
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return [between(at.windows.speed * at.tilt)]
+        return [between((at.windows.speed - at.steady) * at.tilt)]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield from _late(self.name, found)
@@ -74,13 +78,13 @@ class CurrentLatency(Latency):
     A filter with H = 1 / (1 + j omega tau) gives the currents H i and the flux H f(i), and u_f is the voltage after it.
     """
 
-    cause = ""
+    rotates, cause = True, ""
 
     def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
         return bool(value[0] > -_EARLIEST * period) and super().plausible(value, turn, period)
 
     def turned(self, at: Ends, value: FloatArray) -> FloatArray:  # noqa: D102
-        return -super().turned(at, value)  # the currents belong to an earlier angle
+        return np.asarray(-value[0] * at.windows.speed)  # the currents belong to an earlier angle
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return [_filtered(at.windows, at.filter, at.delay) - between(at.windows.speed * at.tilt)]

@@ -37,7 +37,7 @@ def delayed(delay: float) -> FloatArray:
 
 _BASE = len(delayed(0.0))
 """Number of :func:`voltage_columns`."""
-_EDGES = np.array(sorted({*SHIFTS, SHIFTS[-1] + 1, EARLIEST}), np.float64)
+_EDGES = np.array(sorted([*SHIFTS, SHIFTS[-1] + 1, EARLIEST]))
 """Delays, samples, between which the columns are a straight line of the delay; at the earliest they change over."""
 _STARTS = np.array([delayed(low) for low in np.nextafter(_EDGES[:-1], np.inf)])
 _LENGTHS = np.diff(_EDGES)

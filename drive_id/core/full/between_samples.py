@@ -284,7 +284,9 @@ def _integrate(
                     break
             mean = _drop_between(drop, primitive, first, step, axes, i_s[0], i_s[1], drop_scale[n])
             bowed_more = summed[_PARTS] - 0.5 * resistance * (i_s[0] + i_s[1]) - mean
-            out[n] += period[n] * (mean + bowed_more * _PARTS**2 / (_PARTS**2 - 1.0))
-            if (k + 1) % spaced == 0:
-                mean = _drop_between(drop, primitive, first, step, axes, before, i_s[1], drop_scale[n])
-                out[n] -= spaced * period[n] * mean
+            out[n] += period[n] * bowed_more * _PARTS**2 / (_PARTS**2 - 1.0)
+            if spaced > 1:  # else both are of the same sample
+                out[n] += period[n] * mean
+                if (k + 1) % spaced == 0:
+                    mean = _drop_between(drop, primitive, first, step, axes, before, i_s[1], drop_scale[n])
+                    out[n] -= spaced * period[n] * mean

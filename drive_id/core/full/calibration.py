@@ -242,17 +242,16 @@ def with_lateness(fit: FullFit, found: Sequence[Calibration]) -> list[Calibratio
 
     An offset that the map's symmetry shows does; otherwise it is that of the late angle.
     """
-    steady, out = fit.selection.search.found.columns.steady, list(found)
+    steady = fit.selection.search.found.columns.steady
     if not steady or "angle_latency" not in fit.spec.effects:
-        return out
+        return list(found)
     own = fit.model.effect("angle_latency")
     late = -steady * float(fit.solution.estimate[own][0])
     sigma = abs(steady) * float(fitted_sigma(fit.assessment.changes[own])[0])
-    for k, entry in enumerate(found):
-        if entry.name == RESOLVER_OFFSET and entry.applied:
-            told = Message("resolver_offset.with_lateness", **entry.message.values, late=late, late_sigma=sigma)
-            out[k] = replace(entry, message=told)
-            return out
+    known = next((entry for entry in found if entry.name == RESOLVER_OFFSET and entry.applied), None)
+    if known is not None:
+        told = Message("resolver_offset.with_lateness", **known.message.values, late=late, late_sigma=sigma)
+        return [replace(entry, message=told) if entry is known else entry for entry in found]
     told = Message("resolver_offset.lateness", value=late, sigma=sigma, skew=sigma)
     others = [entry for entry in found if entry.name != RESOLVER_OFFSET]
     return [*others, Calibration(RESOLVER_OFFSET, late, sigma, "rad", True, told)]

@@ -384,7 +384,8 @@ def _on_parts(fit: FullFit, *, misfit: bool) -> Iterator[Message]:
 
 def _on_calibration(evidence: Evidence, fit: FullFit, calibrations: Sequence[Calibration]) -> Iterator[Message]:
     """Yield warnings of effects and faults of sensors, and of maps that are not reciprocal."""
-    yield from (c.message for c in calibrations if c.name == "resolver_offset" and c.message.kind == "warning")
+    offsets = (c.message for c in calibrations if c.name == calibration.RESOLVER_OFFSET)
+    yield from (message for message in offsets if message.kind == "warning")
     if not fit.spec.reciprocal and evidence.settings.maps == "auto":
         yield not_reciprocal_warning(fit)
     yield from dict.fromkeys(c.message for c in calibrations if c.doubtful)

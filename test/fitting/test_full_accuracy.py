@@ -145,6 +145,20 @@ def test_an_asymmetric_machine_refuses_the_calibration_of_the_angle():
     assert full_errors.max() < 0.1
 
 
+def test_an_asymmetric_machine_with_a_late_angle_is_corrected_for_its_lateness_and_warned_of():
+    cross, latency = 0.05 * np.abs(IPM.psi_d).max() / IPM.i_max, 1.5e-4
+    machine = distorted(IPM, lambda psi_d, psi_q, i_d, i_q: (psi_d + cross * i_q, psi_q + cross * i_d))
+    settings = replace(NOISY, current_noise=1e-3, speed_ripple=0.03, resolver_latency=latency)
+    found, full_errors = errors(run_experiment(machine, settings, seconds=5.0))
+    angle = calibration(found, "resolver_offset")
+    speed = np.deg2rad(6 * settings.speeds[0]) * IPM.pole_pairs
+    assert angle.applied
+    assert abs(angle.value + latency * speed) < 3 * angle.sigma < 0.1 * latency * speed
+    assert angle.message in found.report.warnings
+    assert "mirror-symmetric" in angle.message
+    assert full_errors.max() < 0.3  # of 3 % by an angle that is off
+
+
 @pytest.mark.parametrize(
     ("machine", "changes", "trajectory"),
     [

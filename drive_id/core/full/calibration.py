@@ -240,21 +240,26 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
 def with_lateness(fit: FullFit, found: Sequence[Calibration]) -> list[Calibration]:
     """Return calibrations whose offset of the angle includes that of a late angle at the one speed of the data.
 
-    An offset that the map's symmetry shows does; otherwise it is that of the late angle.
+    An offset that the map's symmetry shows does. Otherwise it is that of the late angle, and what keeps the symmetry
+    from showing one is told with it, and is in its error.
     """
-    steady = fit.selection.search.found.columns.steady
+    steady = fit.steady
     if not steady or "angle_latency" not in fit.spec.effects:
         return list(found)
     own = fit.model.effect("angle_latency")
     late = -steady * float(fit.solution.estimate[own][0])
     sigma = abs(steady) * float(fitted_sigma(fit.assessment.changes[own])[0])
-    known = next((entry for entry in found if entry.name == RESOLVER_OFFSET and entry.applied), None)
-    if known is not None:
-        told = Message("resolver_offset.with_lateness", **known.message.values, late=late, late_sigma=sigma)
-        return [replace(entry, message=told) if entry is known else entry for entry in found]
-    told = Message("resolver_offset.lateness", value=late, sigma=sigma, skew=sigma)
-    others = [entry for entry in found if entry.name != RESOLVER_OFFSET]
-    return [*others, Calibration(RESOLVER_OFFSET, late, sigma, "rad", True, told)]
+    unknown = Calibration(RESOLVER_OFFSET, 0.0, float("nan"), "rad", False, Message("resolver_offset.one_sided"))
+    known = next((entry for entry in found if entry.name == RESOLVER_OFFSET), unknown)
+    told = dict(known.message.values, late=late, late_sigma=sigma)
+    if known.applied:
+        offset = replace(known, message=Message("resolver_offset.with_lateness", **told))
+    else:
+        hidden = float(told.get("skew", 0.0))
+        told["skew"] = float(np.hypot(sigma, max(hidden, abs(known.value - late)) if hidden else 0.0))
+        key = "resolver_offset.asymmetric_lateness" if known.message.kind == "warning" else "resolver_offset.lateness"
+        offset = replace(known, value=late, sigma=told["skew"], applied=True, message=Message(key, **told))
+    return [*(entry for entry in found if entry.name != RESOLVER_OFFSET), offset]
 
 
 def cross_talk(calibrations: Sequence[Calibration]) -> bool:

@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 
 from drive_id.common.messages import Message
-from drive_id.core.full.delay import several_speeds
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.effects.effect import CERTAIN, Calibration, Reported
 from drive_id.core.full.fit import FullFit
@@ -122,8 +121,8 @@ def _with_cause(code: str, fit: FullFit, **values: float) -> Message:
 
 def effect_entries(fit: FullFit) -> list[Calibration]:
     """Return the values of all effects in the model, in the order in which they were found."""
-    found, several = fit.selection.search.found, several_speeds(fit.assessment.speeds)
-    columns, estimate = found.columns, fit.solution.estimate
+    found, estimate = fit.selection.search.found, fit.solution.estimate
+    columns = found.columns
     out: list[Calibration] = []
     drop = float(fit.model.shapes.coarse(np.array(fit.model.i_max)) @ fit.model.coarse_drop(estimate))
     slopes, links = jacobian(fit.model.flux, estimate[fit.model.map], np.zeros((1, 2))), _links(fit)
@@ -140,7 +139,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             met=partial(fit.met, taken.name),
             rivals=taken.rivals,
             open=_open(fit, taken.name),
-            several_speeds=several,
+            several_speeds=fit.steady is None,
             fastest=float(np.abs(fit.assessment.speeds).max()),
             resistance=float(estimate[RESISTANCE]),
             inductance=float(slopes[0, 0, 0]),

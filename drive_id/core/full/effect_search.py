@@ -15,7 +15,7 @@ from itertools import count
 import numpy as np
 from scipy import sparse
 
-from drive_id.core.full.delay import Delay, estimate_delay, several_speeds
+from drive_id.core.full.delay import Delay, estimate_delay
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.effects.effect import parts
 from drive_id.core.full.linearized import (
@@ -270,7 +270,7 @@ def search_effects(
     columns = first_columns(sums, solution, noise, pole_pairs)
     plain_fit = settled(few, plain, columns)
     own, rows = model.effect("remainder").start, max(plain_fit.solution.rows, 1.0)
-    solver, one_speed = plain_fit.solver, not several_speeds(noise.windows.speed.mean(axis=1))
+    solver, one_speed = plain_fit.solver, columns.steady is not None
     least = _LEAST_VOLTAGE**2 / _PRICE * rows * solver.total_voltage + float(solver.total[own, own])
     rules = _Rules(few, plain, noise, tuple(allowed), turn, one_speed, parts(sums.kept()), least)
     start, every = _about_lateness(_about_decimation(plain_fit, rules), rules), rules.among(sums)

@@ -102,6 +102,11 @@ class FullFit:
         return self.selection.crossings
 
     @property
+    def steady(self) -> float | None:
+        """The one speed of all data, rad/s electrical; None where there are several."""
+        return self.selection.search.found.columns.steady
+
+    @property
     def shared_resistance(self) -> float:
         """Largest change of R with the shapes of a wide inverter curve, ohm; 0 if the curve is not wide."""
         return float(abs(self.assessment.changes[RESISTANCE, -1])) if self.spec.wide else 0.0

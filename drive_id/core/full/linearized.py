@@ -72,9 +72,8 @@ def first_columns(
         ripple = ripple_frequency(model, solution.estimate, [windows])[0]
     columns = EffectColumns(model, solution.estimate, float(windows.heat.max()), mean, pole_pairs, ripple)
     speeds = windows.speed.mean(axis=1)
-    columns = replace(
-        columns, divided=divided([windows]), steady=0.0 if several_speeds(speeds) else float(speeds.mean())
-    )
+    steady = None if several_speeds(speeds) else float(speeds.mean())
+    columns = replace(columns, divided=divided([windows]), steady=steady)
     if pole_pairs is not None:
         return columns
     return replace(columns, pole_pairs=columns.likely_pole_pairs(windows.thinned(SEARCHED)))

@@ -12,7 +12,6 @@ from drive_id.common.origins import ORIGINS
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import rotated
-from drive_id.core.full.delay import several_speeds
 from drive_id.core.full.effect_report import (
     OUTLYING,
     effect_entries,
@@ -356,7 +355,7 @@ def _on_map(
     slow = turn < _LEAST_TURN * share * WINDOW_ANGLE and duration > _LEAST_TURN * share * LONGEST_WINDOW
     if slow and not locked:
         yield Message("slow_rotation", turn=turn)
-    if evidence.turn > _MOST_TURN and fit.spec.reciprocal and not several_speeds(fit.assessment.speeds):
+    if evidence.turn > _MOST_TURN and fit.spec.reciprocal and fit.steady is not None:
         yield Message("fast_rotation", turn=evidence.turn)
     grid = evidence.visits.grid()
     chosen = inside & (np.hypot(grid[..., 0], grid[..., 1]) <= evidence.i_max)
@@ -402,9 +401,8 @@ def _statements(
 ) -> Iterator[Message]:
     """Yield what determined the unknowns that the data alone leave open, where data are missing, what helps most."""
     locked = _locked(evidence)
-    several = not locked and several_speeds(fit.assessment.speeds)
     relative = fit.sigma(RESISTANCE) / max(abs(fit.solution.resistance), TINY)
-    by = ".locked" if locked else ".speeds" if several else ".reciprocity" if fit.spec.reciprocal else ""
+    by = ".locked" if locked else ".speeds" if fit.steady is None else ".reciprocity" if fit.spec.reciprocal else ""
     yield Message(f"separation{by}", share=relative)
     yield Message("linear_drop")
     gain = calibration.common_gain(calibrations)
@@ -421,7 +419,7 @@ def _statements(
         yield Message("harmonics", orders=orders) if orders else Message("harmonics.none")
     yield _on_region(evidence, inside)
     few = inside.mean() < _FEW_COVERED * np.pi / 4
-    yield Message("second_speed" if not (several or locked) else "cover_disc" if few else "record_longer")
+    yield Message("second_speed" if not locked and fit.steady is not None else "cover_disc" if few else "record_longer")
 
 
 def _large_share(fit: FullFit) -> float:

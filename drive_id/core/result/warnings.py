@@ -21,7 +21,7 @@ _FEW_POINTS = 0.005  # share of the map's points whose inductances may be indefi
 _IMPOSSIBLE = 3.0
 """Standard errors below zero at which a resistance is impossible: by chance one fit in 700 of a machine without any."""
 _FAR_OFF = np.deg2rad(19.0)
-"""Correction of the angle at the end of the range that is searched."""
+"""Angle at the end of the range that is searched for the one that makes the map mirror-symmetric."""
 _INDEFINITE = 0.1
 """Share of the map without positive definite inductances at which it is condemned, with a simulation that diverges. Of
 288 random drives one is above 0.04: 0.48, with 57 % of flux error."""
@@ -61,8 +61,8 @@ def condemned(evidence: Evidence, estimate: Estimate, mad: tuple[float, float], 
     if resistance < -_IMPOSSIBLE * sigma:
         return because(evidence, "impossible_resistance", resistance=resistance, sigma_resistance=sigma)
     told = any(finding.code == "angle_offset" for finding in evidence.findings)
-    off = (c.name == "resolver_offset" and abs(c.value) > _FAR_OFF and not c.applied for c in estimate.calibrations)
-    if told and any(off):
+    unfound = (c.message for c in estimate.calibrations if c.name == "resolver_offset" and c.message.kind == "warning")
+    if told and any(abs(message.values["value"]) > _FAR_OFF for message in unfound):
         return because(evidence, "impossible_angle")
     inside = _with_data(evidence, estimate.flux_map)
     if not inside.any():

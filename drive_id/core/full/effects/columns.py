@@ -42,7 +42,7 @@ class EffectColumns:
     winding: WindingHeat | None = None  # course of its temperature; None: it gives off no heat
     delay: float = 0.0  # of the voltages, samples
     divided: str = "section"  # what tells the parts of the data apart, see ``effect.divided``
-    steady: float = 0.0  # the one speed of all data, rad/s; 0 where there are several
+    steady: float | None = None  # the one speed of all data, rad/s; None where there are several
 
     def __call__(self, windows: Windows) -> ComplexArray:
         """Return the columns (N, EFFECT_COLUMNS) of N windows."""
@@ -107,7 +107,7 @@ class EffectColumns:
         i_s = windows.measured * turn
         induced = (windows.held - float(self.estimate[RESISTANCE]) * i_s - self._drop(i_s, windows)) / turn
         part = getattr(windows, self.divided)
-        return Ends(windows, windows.measured, turn, induced, self.pole_pairs, part, self.steady)
+        return Ends(windows, windows.measured, turn, induced, self.pole_pairs, part, self.steady or 0.0)
 
     def _at(self, windows: Windows) -> Linearized:
         ends, i_dq, through = self._ends(windows), _as_complex(windows.i_dq), self._jacobian(windows)

@@ -176,6 +176,16 @@ def test_a_late_angle_shows_in_a_speed_that_swings_and_is_an_offset_at_its_mean(
     assert 100 * max(score(found, truth)) < (FLUX if symmetry else 0.3)  # of 3 % by an angle that is off
 
 
+def test_every_fifth_sample_delays_by_less_than_half_a_sample():
+    """By -(n - 1) / 2n; about half a sample, the voltage after an end would predict the noise there, and win."""
+    simulation = run_experiment(IPM, replace(GOOD, log_decimation=5), None, 2 * SECONDS)
+    found = fitted(simulation.samples)
+    (delay,) = (entry for entry in found.calibrations if entry.applied and entry.name == "voltage_delay")
+    assert delay.value == pytest.approx(-0.4, abs=0.02)
+    assert 100 * max(score(found, simulation.truth)) < 2 * FLUX
+    assert "decimated" in {warning.code for warning in found.report.warnings}
+
+
 def sensors(found):
     """Return rotation of the currents and complex gain mismatch."""
     values = {entry.name: entry.value for entry in found.calibrations if entry.applied}

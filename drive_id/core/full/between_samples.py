@@ -23,7 +23,7 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import RESISTANCE, FullModel
-from drive_id.core.full.windows import EARLIEST, Windows, spacing
+from drive_id.core.full.windows import DECIMATED, Windows, spacing
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import TINY, FloatArray, IntArray
 
@@ -147,7 +147,7 @@ def _held(delay: float) -> float:
 
     Of a log with every n-th sample, delayed by -(n - 1) / 2n, they step n times per sample, which leaves 1 / n^2.
     """
-    if EARLIEST <= delay < 0:
+    if DECIMATED <= delay < 0:
         return 1 / round(1 / max(1 + 2 * delay, TINY)) ** 2
     step = delay % 1.0
     return 1 - 6 * step * (1 - step)

@@ -438,9 +438,9 @@ def delay_shares(delay: float) -> FloatArray:
     """Return the weights (K,) of the shift columns for a delay in samples, -4 to 4.
 
     The commanded voltage is held, so a fractional delay takes exactly that fraction of the previous sample. A delay
-    between -0.5 and 0, as decimated logs have, would take it of the sample that begins at the end of a window: where
-    the controller answers at once to the noise of the current there, that predicts the noise, and such a delay was
-    missed. It takes the voltage before the end instead, turned on with the rotor.
+    between ``EARLIEST`` and 0, as decimated logs have, would take it of the sample that begins at the end of a window:
+    where the controller answers at once to the noise of the current there, that predicts the noise, and such a delay
+    was missed. It takes the voltage before the end instead, turned on with the rotor.
     """
     shifts = np.array(SHIFTS)
     if EARLIEST < delay < 0:

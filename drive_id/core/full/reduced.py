@@ -37,10 +37,12 @@ def delayed(delay: float) -> FloatArray:
 
 _BASE = len(delayed(0.0))
 """Number of :func:`voltage_columns`."""
-_EDGES = np.array(sorted([*SHIFTS, SHIFTS[-1] + 1, EARLIEST]))
+_EDGES = np.array(sorted({*SHIFTS, SHIFTS[-1] + 1, EARLIEST}), np.float64)
 """Delays, samples, between which the columns are a straight line of the delay; at the earliest they change over."""
 _STARTS = np.array([delayed(low) for low in np.nextafter(_EDGES[:-1], np.inf)])
 _LENGTHS = np.diff(_EDGES)
+_HELD = int(np.searchsorted(_EDGES, EARLIEST))
+"""Number of the line along which early voltages are those held before the ends."""
 _STEPS = (np.array([delayed(high) for high in _EDGES[1:]]) - _STARTS) / _LENGTHS[:, None]
 
 
@@ -51,6 +53,8 @@ def best_delay(left: FloatArray) -> tuple[float, float, float]:
     where = np.clip(-slope / np.maximum(bend, TINY), 0.0, _LENGTHS)
     at = _STARTS + where[:, None] * _STEPS
     squares = np.sum(at @ left * at, axis=1)
+    if where[_HELD] == 0.0:  # earlier ones are not such: of filtered voltages, it left least at its end
+        squares[_HELD] = np.inf
     best = int(np.argmin(squares))
     return float(_EDGES[best] + where[best]), float(squares[best]), float(bend[best])
 

@@ -38,7 +38,10 @@ SHIFTS = (-4, -3, -2, -1, 0, 1, 2, 3)
 """Offsets from both ends, samples, at which the voltage is kept so that it can be shifted in time later."""
 MOST_DELAY = float(-SHIFTS[0])
 """Largest delay of the voltage in either direction, samples."""
-EARLIEST = -0.5
+EARLIEST = -1.0
+"""Delay, samples, above which early voltages are those held before the ends of a window. At -0.5, where this ended, the
+voltage after an end, which answers to the noise there, made half a sample win over the -0.4 of every fifth sample."""
+DECIMATED = -0.5
 """Delay, samples, below which no log is decimated: the voltages are early by the steps of a drive."""
 
 SEARCHED = 1500

@@ -32,13 +32,20 @@ from drive_id.core.full.model import (
     map_basis,
     own_basis,
     roughness,
-    sum_basis,
 )
 from drive_id.core.full.reduced import Reduced, best_delay, voltage_columns
 from drive_id.core.full.window_sums import WindowSums, with_products
 from drive_id.core.full.windows import Windows
 from drive_id.core.maps.flux_models import jacobian
-from drive_id.core.numerics.normal_equations import Factor, congruent, factorize, penalized, unpacked
+from drive_id.core.numerics.normal_equations import (
+    Eliminated,
+    Factor,
+    columns_of,
+    congruent,
+    factorize,
+    normal_of_difference,
+    unpacked,
+)
 from drive_id.core.numerics.threads import in_threads
 from drive_id.types import TINY, BoolArray, FloatArray, IntArray
 
@@ -245,16 +252,17 @@ class Solver:
         The penalty acts on the map alone: all else is eliminated once per fold, ``S = A_mm - A_mn A_nn^-1 A_nm``, and
         ``S + lambda P`` is solved for each penalty lambda.
         """
-        t, voltage = sum_basis(self.model, spec), self._voltage(spec)
+        maps, own, voltage = map_basis(self.model, spec), own_basis(self.model, spec), self._voltage(spec)
+        t, split = sparse.csr_array(sparse.hstack([maps, own])), maps.shape[1]
         tried = [self._penalty(t, penalty) for penalty in penalties or (spec.penalty,)]
-        of_map = len(np.unique(t[self.model.summed.map].indices))
+        of_map = len(np.unique(maps[self.model.summed.map].indices))
 
         def errors(number: int) -> list[float]:
-            others = self._without(number)
-            moment = t.T @ (others[:, : self._others] @ voltage[: self._others])
-            normal = congruent(t, others)
-            del others
-            estimates = penalized(normal, moment, tried, of_map)
+            normal, beside = self._products(maps, number, own.shape[1])
+            normal[:, split:] = t.T @ (beside @ own[: self._others])
+            others = Eliminated.of(normal, t.T @ (beside @ voltage[: self._others]), tried[0], of_map)
+            del normal  # which may be large, for several threads
+            estimates = map(others.solved, tried)
             return [self._squares(number, t @ x - voltage) / max(self.counts[number], 1.0) for x in estimates]
 
         return np.array(in_threads(errors, range(len(self._folds)) if folds is None else [int(k) for k in folds]))
@@ -331,11 +339,23 @@ class Solver:
         half = known.half(np.eye(self._others)[:, columns])
         return Reduced(self.model, known.maps.beside[np.ix_(columns, columns)] - half.T @ half, half, known.back)
 
-    def _without(self, number: int) -> FloatArray:
-        """Return Z'Z (summed.size, summed.size) of all folds but one."""
-        effects = None if self._effects is None else self._effects[number]
-        fold = with_products(unpacked(self._folds[number], self.model.summed.size), effects, self.model)
-        return np.subtract(self.total, fold, out=fold)
+    def _products(self, t: sparse.csr_array, without: int | None, room: int = 0) -> tuple[FloatArray, FloatArray]:
+        """Return T'AT (M, M), and A (summed.size, C) over the columns that are not of the maps.
+
+        A is Z'Z of all folds, or without one. Of T'AT, only the upper triangle holds, and as many columns and rows as
+        there is ``room`` for, behind it, are not set.
+        """
+        others = slice(self._others)
+        if without is None:
+            return congruent(t, self.total), self.total[:, others].copy()
+        triangle, effects, size = self._folds[without], self.model.effects, self.model.summed.size
+        beside = self.total[:, others] - columns_of(triangle, size, self._others)
+        if self._effects is not None:
+            beside[:, effects] = self.total[:, effects] - self._effects[without]
+            beside[effects] = beside[others, effects].T
+        normal = np.empty((t.shape[1] + room,) * 2)
+        normal_of_difference(t, self.total, triangle, normal[: t.shape[1], : t.shape[1]])
+        return normal, beside
 
     def _squares(self, number: int, residual: FloatArray) -> float:
         """Return the sum of squares of ``Z x`` over a fold, for x (summed.size,)."""
@@ -376,15 +396,16 @@ class Solver:
         known = self._known.get(spec) if plain else None
         if known is not None and known.effects is self._effects:
             return known
-        matrix, t = self.total if without is None else self._without(without), map_basis(self.model, spec)
-        penalty = known.penalty if known else self._penalty(t, spec.penalty, noise)
-        products, beside = np.asarray(t.T @ matrix[:, : self._others]), matrix[: self._others, : self._others].copy()
-        normal = np.empty(0) if known else congruent(t, matrix)
-        del matrix  # which may be large, for several threads
-        factor, scale = known.factor if known else factorize(normal, penalty)
-        products /= scale[:, None]
+        t = map_basis(self.model, spec)
+        if known:
+            penalty, (factor, scale), beside = known.penalty, known.factor, self.total[:, : self._others]
+        else:
+            penalty, (normal, beside) = self._penalty(t, spec.penalty, noise), self._products(t, without)
+            factor, scale = factorize(normal, penalty)
+            del normal  # which may be large, for several threads
+        products = np.asarray(t.T @ beside) / scale[:, None]
         half = linalg.solve_triangular(factor, products, lower=True, overwrite_b=True, check_finite=False)
-        maps = _Maps(t, penalty, (factor, scale), half, beside, self._effects)
+        maps = _Maps(t, penalty, (factor, scale), half, beside[: self._others].copy(), self._effects)
         if plain:
             self._known[spec] = maps
             for old in list(self._known)[:-_KEPT]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -15,6 +15,7 @@ from drive_id.types import FloatArray, IntArray
 
 _JITTER = 1e-13  # added to the unit diagonal, so that rounding leaves the matrix positive definite
 _TILE = 256  # rows and columns at a time, which stay in the cache
+_LINE = 8  # numbers in a line of the cache
 _FLAT = 1e-10  # slope of the squares relative to the largest one at first, from which on an unknown stays zero
 _EXCHANGES = 3  # how often each unknown may leave zero
 
@@ -82,6 +83,38 @@ def unpacked(triangle: FloatArray, size: int) -> FloatArray:
     return _symmetric(matrix)
 
 
+def columns_of(triangle: FloatArray, size: int, count: int) -> FloatArray:
+    """Return the first columns (size, count) of the symmetric matrix of a lower triangle."""
+    starts = np.cumsum(np.arange(count, size))[:, None] + count * (count + 1) // 2 - count
+    below = triangle[starts + np.arange(count)]
+    return np.concatenate([unpacked(triangle[: count * (count + 1) // 2], count), below])
+
+
+def normal_of_difference(t: sparse.csr_array, matrix: FloatArray, less: FloatArray, out: FloatArray) -> None:
+    """Write the upper triangle of T' (A - B) T of symmetric matrices, B being given as its lower triangle."""
+    by_column = t.tocsc()
+    if (
+        np.all(np.diff(by_column.indptr) == 1)
+        and np.all(by_column.data == 1.0)
+        and np.all(np.diff(by_column.indices) > 0)
+    ):
+        _select_difference(matrix, less, by_column.indices.astype(np.int64), out)
+    else:
+        out[:] = congruent(t, matrix - unpacked(less, len(matrix)))
+
+
+@compiled("const f8[:, ::1], const f8[::1], const i8[::1], f8[:, :]")
+def _select_difference(matrix: FloatArray, less: FloatArray, rows: IntArray, out: FloatArray) -> None:
+    """Write the upper triangle of rows and columns (M,), increasing, of the difference."""
+    for left in range(0, len(rows), _LINE):
+        right = min(left + _LINE, len(rows))
+        for k in range(right):
+            row = rows[k]
+            for other in range(max(left, k), right):
+                column = rows[other]
+                out[k, other] = matrix[row, column] - less[column * (column + 1) // 2 + row]
+
+
 def _symmetric(matrix: FloatArray) -> FloatArray:
     """Copy the lower triangle of a matrix to the upper one, in place."""
     size = len(matrix)
@@ -101,28 +134,6 @@ def add_triangle(block: FloatArray, columns: IntArray, triangle: FloatArray) -> 
         start = columns[k] * (columns[k] + 1) // 2
         for other in range(k + 1):
             triangle[start + columns[other]] += block[k, other]
-
-
-def penalized(
-    normal: FloatArray, moment: FloatArray, penalties: Sequence[sparse.csr_array], first: int
-) -> list[FloatArray]:
-    """Solve ``(normal + penalty) x = moment`` for penalties (M, M) that differ only in so many first unknowns.
-
-    ``normal`` is overwritten.
-    """
-    inner, outer, estimates = slice(first), slice(first, None), []
-    factor, scale = factorize(normal[outer, outer], penalties[0][outer, outer])
-    half, known = (  # (K, N) in the order of LAPACK, so that nothing is copied
-        linalg.solve_triangular(factor, (rows / scale).T, lower=True, overwrite_b=True, check_finite=False)
-        for rows in (normal[inner, outer], moment[None, outer])
-    )
-    schur = normal[inner, inner]
-    schur -= half.T @ half
-    for penalty in penalties:
-        last, own = factorize(schur, penalty[inner, inner])
-        whole = Factor(factor, half / own, last, np.append(scale, own))
-        estimates.append(np.roll(whole.back(whole.joined(known, moment[inner, None])[:, 0]), first))
-    return estimates
 
 
 def increased(matrix: FloatArray, by: sparse.csr_array) -> FloatArray:
@@ -257,6 +268,36 @@ class Factor:
         out /= self.scale[:, None]
         out /= self.scale
         return np.asarray(_symmetric(np.asarray(out)).T)  # in the order in which sparse matrices multiply it, uncopied
+
+
+@dataclass(frozen=True, eq=False)
+class Eliminated:
+    """Normal equations of M unknowns for penalties that differ in the first J only: the others are eliminated once."""
+
+    others: tuple[FloatArray, FloatArray]  # factor (K, K) and scale of the others
+    half: FloatArray  # (K, J), factor^-1 times the scaled rows beside it
+    known: FloatArray  # (K, 1), the same of the moment
+    schur: FloatArray  # (J, J), what is left of the first
+    moment: FloatArray  # (J,)
+
+    @classmethod
+    def of(cls, normal: FloatArray, moment: FloatArray, penalty: sparse.csr_array, first: int) -> Eliminated:
+        """Eliminate from ``(normal + penalty) x = moment``, (M, M) and (M,), all but so many first unknowns."""
+        inner, outer = slice(first), slice(first, None)
+        factor, scale = factorize(normal[outer, outer], penalty[outer, outer])
+        half, known = (  # (K, N) in the order of LAPACK, so that nothing is copied
+            linalg.solve_triangular(factor, (rows / scale).T, lower=True, overwrite_b=True, check_finite=False)
+            for rows in (normal[inner, outer], moment[None, outer])
+        )
+        schur = half.T @ half
+        return cls((factor, scale), half, known, np.subtract(normal[inner, inner], schur, out=schur), moment[inner])
+
+    def solved(self, penalty: sparse.csr_array) -> FloatArray:
+        """Return the solution (M,) for a penalty (M, M)."""
+        first, (factor, scale) = len(self.schur), self.others
+        last, own = factorize(self.schur, penalty[:first, :first])
+        whole = Factor(factor, self.half / own, last, np.append(scale, own))
+        return np.roll(whole.back(whole.joined(self.known, self.moment[:, None])[:, 0]), first)
 
 
 @compiled("const i4[::1], const i4[::1], const f8[::1], const f8[:, ::1]")

@@ -87,6 +87,34 @@ def test_a_congruent_matrix_by_selection_and_by_products(weight):
     np.testing.assert_allclose(normal_equations.congruent(whole, half + half.T), expected, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("selects", [True, False])
+def test_a_difference_of_triangles_is_formed_without_the_matrix(selects):
+    """Selected columns are taken from the triangle; other combinations need the whole matrix."""
+    rng, size = np.random.default_rng(8), 30
+    total, part = (half + half.T for half in rng.standard_normal((2, size, size)))
+    triangle = normal_equations.triangle_of(part)
+    t = np.eye(size)[:, [0, 3, 4, *range(9, 29)]] if selects else rng.standard_normal((size, 11))
+    out = np.full((len(t.T) + 2,) * 2, np.nan)
+    normal_equations.normal_of_difference(sparse.csr_array(t), total, triangle, out[:-2, :-2])
+    upper = np.triu_indices(len(t.T))
+    np.testing.assert_allclose(out[upper], (t.T @ (total - part) @ t)[upper], rtol=1e-12, atol=1e-12)
+    assert np.isnan(out[-2:]).all()
+    assert np.isnan(out[:, -2:]).all()
+    for count in (1, 7, size):
+        np.testing.assert_array_equal(normal_equations.columns_of(triangle, size, count), part[:, :count])
+
+
+def test_equations_solved_for_penalties_on_some_unknowns():
+    rng, first = np.random.default_rng(9), 4
+    root, moment = rng.standard_normal((40, 9)), rng.standard_normal(9)
+    penalties = [np.diag(np.append(weight * rng.random(first), np.ones(5))) for weight in (0.1, 3.0)]
+    upper = np.triu(root.T @ root)
+    others = normal_equations.Eliminated.of(upper, moment, sparse.csr_array(penalties[0]), first)
+    for penalty in penalties:
+        expected = np.linalg.solve(root.T @ root + penalty, moment)
+        np.testing.assert_allclose(others.solved(sparse.csr_array(penalty)), expected, rtol=1e-9)
+
+
 def test_a_factor_of_two_blocks_is_that_of_the_whole():
     rng = np.random.default_rng(7)
     root, right = rng.standard_normal((40, 9)), rng.standard_normal((9, 3))

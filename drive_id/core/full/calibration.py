@@ -101,7 +101,8 @@ def calibrate_delay(fit: FullFit, wanted: bool, turn: float) -> Calibration:
     """Report the delay of the voltages used by the fit.
 
     Voltages that are early by no multiple of half a sample were filtered before they were recorded, as measured ones
-    are. A low-pass filter that delays by t takes ``(omega t)^2 / 2`` of them, too.
+    are. A low-pass filter that delays by t takes ``(omega t)^2 / 2`` of them, too, which the data do not show. A
+    multiple of half a sample is more likely the timing of a log, but the errors include the filter.
 
     Parameters
     ----------
@@ -117,19 +118,19 @@ def calibrate_delay(fit: FullFit, wanted: bool, turn: float) -> Calibration:
         said = Message(wording, value=delay, sigma=sigma, **more)
         return Calibration(name, value, sigma, "samples", fit.spec.reciprocal and used != 0.0, said, doubtful)
 
-    if not fit.spec.reciprocal:
-        return entry(delay, "voltage_delay.not_reciprocal")
-    if used == 0.0:
-        return entry(delay, "voltage_delay.none")
+    if used == 0.0 or not fit.spec.reciprocal:
+        return entry(delay, "voltage_delay.none" if fit.spec.reciprocal else "voltage_delay.not_reciprocal")
     if abs(used) >= MOST_DELAY:
         return entry(used, "voltage_delay.limit", doubtful=True)
     estimated = Delay(used, sigma)
     if every := estimated.decimation:
         return entry(used, "voltage_delay.decimated", doubtful=True, every=max(2, every))
     lost = 0.5 * (turn * used) ** 2
-    filtered = used < 0 and abs(used - estimated.nearest) > estimated.tolerance and lost > _LEAST_LOST
-    more = {"early": -delay, "lost": lost} if filtered else {}
-    return entry(used, "voltage_delay.filtered" if filtered else "voltage_delay", doubtful=filtered, **more)
+    if used > 0 or lost < _LEAST_LOST:
+        return entry(used, "voltage_delay")
+    filtered = abs(used - estimated.nearest) > estimated.tolerance
+    wording = "voltage_delay.filtered" if filtered else "voltage_delay.early"
+    return entry(used, wording, doubtful=filtered, early=-delay, lost=lost)
 
 
 def mirrored_points(i_d: FloatArray, i_q: FloatArray, inside: BoolArray, i_max: float) -> FloatArray:

@@ -230,6 +230,7 @@ def build_messages(environment: Environment) -> None:
         "CMAKE_INSTALL_PREFIX": environment.folder,
         "PYTHON_INSTALL_DIR": SITE_PACKAGES,
         "Python3_EXECUTABLE": environment.python,
+        "TYPE_SUPPORTS_FOR_CPP": "ON" if environment.sourced else "OFF",  # the wheels hold no C++ program
     }
     configure: list[str | Path] = ["cmake", "-S", ROOT / "msg_defs", "-B", build]
     configure += [f"-D{name}={value}" for name, value in options.items()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from drive_id.common.quantity import counted
 from drive_id.errors import MessageTypeError
-from drive_id.files.messages.block_codec import decode_block
+from drive_id.files.messages.block_codec import decode_block, decode_blocks
 from drive_id.files.messages.field_path import FieldPath, FieldPathError, parse_field_path
 from drive_id.files.messages.messages import BLOCK_FIELDS, message_typestore, schema_text
 from drive_id.files.messages.signal_sources import NAMED_STAMPS, SignalMap, TimeSource
@@ -30,16 +30,19 @@ STAMP_LIMIT = 2**61
 
 
 class MessageSamples(NamedTuple):
-    """The samples of one signal in one message."""
+    """The samples of one signal in one message, or in several blocks."""
 
-    stamp: int | IntArray  # of the first sample or of each (n,), ns
-    first_sample: int | IntArray | None  # running count of the first sample, or of each (n,)
+    stamp: int | IntArray  # of the first sample, of that of each block (b,), or of each sample (n,), ns
+    first_sample: int | IntArray | None  # running count of the first sample, of that of each block, or of each sample
     sample_period: float | None  # s
     columns: tuple[NDArray[np.floating], ...]  # each (n,), float32 or float64
     frame: str | None = None  # frame_id of one of our messages, whose count is that of a drive
+    samples: IntArray | None = None  # (b,), of each block; None: one message
 
 
 Reader = Callable[[RawMessage], MessageSamples]
+BlocksReader = Callable[[Sequence[bytes | memoryview]], MessageSamples | None]
+"""Reads several messages at once, or returns None: a :data:`Reader` then reads each, or says what is wrong."""
 
 
 def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> Reader:
@@ -49,6 +52,23 @@ def message_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> 
         if columns is not None:
             return _block_reader(columns, len(BLOCK_FIELDS[topic.type_name]), source)
     return _field_reader(decoder(topic, signals), source, source.paths)
+
+
+def blocks_reader(topic: TopicInfo, source: TimeSource, signals: SignalMap) -> BlocksReader | None:
+    """Return the function that reads one signal from several messages of a topic; None where they are not ours."""
+    columns = block_columns(topic, source, signals)
+    if columns is None or source.stamp != "header":
+        return None
+    fields = len(BLOCK_FIELDS[topic.type_name])
+
+    def read(messages: Sequence[bytes | memoryview]) -> MessageSamples | None:
+        found = decode_blocks(messages, fields)
+        if found is None:
+            return None
+        chosen = tuple(found.values[k] for k in columns)
+        return MessageSamples(found.stamp, found.first_sample, found.sample_period, chosen, found.frame, found.samples)
+
+    return read
 
 
 def decoder(topic: TopicInfo, signals: SignalMap) -> Callable[[bytes | memoryview], object]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Generator, Iterable, Iterator
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +15,18 @@ from drive_id.common.quantity import counted
 from drive_id.core.signals.equal_spacing import EqualSpacing, equal_spacing
 from drive_id.core.signals.join import SECTIONS
 from drive_id.core.signals.signal import SampleCount, Signal
-from drive_id.errors import EmptyTopicError, MessageTypeError, SamplePeriodError
-from drive_id.files.messages.block_codec import LONGEST_PERIOD
-from drive_id.files.messages.message_reader import DECODE_ERRORS, STAMP_LIMIT, MessageSamples, Reader, message_reader
+from drive_id.errors import BagError, EmptyTopicError, MessageTypeError, SamplePeriodError
+from drive_id.files.messages.block_codec import LONGEST_PERIOD, read_head
+from drive_id.files.messages.message_reader import (
+    DECODE_ERRORS,
+    STAMP_LIMIT,
+    BlocksReader,
+    MessageSamples,
+    Reader,
+    blocks_reader,
+    message_reader,
+)
+from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signal_sources import VOLTAGE_SCALE, SignalMap, TimeSource
 from drive_id.files.read.memory import MemoryGuard
 from drive_id.files.storage.bag import Bag
@@ -26,6 +35,8 @@ from drive_id.types import SCALARS, FloatArray, IntArray
 
 PART_SAMPLES = 1 << 15
 """Size of a part, samples of the currents."""
+_AT_ONCE = 1 << 14
+"""Messages that are decoded at once: more of them, of one sample each, take memory and save nothing."""
 _SAME_PERIOD = 1e-6  # relative difference up to which two declared periods are the same
 INTERPOLATED = (*SCALARS, VOLTAGE_SCALE)
 """Sections of any rate, which may begin late and have gaps."""
@@ -177,8 +188,12 @@ class SignalStream(LogSignals):
         self._feedback = {topics[section].name for section in SECTIONS if section in topics}
         self._refuse_empty({section for section in sources if topics[section].count != 0})
         self._readers: dict[str, list[tuple[str, Reader]]] = defaultdict(list)
+        self._of_blocks: dict[str, tuple[str, BlocksReader]] = {}  # by section
         for section, source in sources.items():
-            self._readers[topics[section].name].append((section, message_reader(topics[section], source, signals)))
+            given = topics[section], source, signals
+            self._readers[given[0].name].append((section, message_reader(*given)))
+            if reader := blocks_reader(*given):
+                self._of_blocks[section] = given[0].name, reader
 
     @property
     def divided(self) -> bool:
@@ -186,7 +201,51 @@ class SignalStream(LogSignals):
         return self._part is None and any(self._builders[section].divided for section in SECTIONS)
 
     def _pieces(self) -> Iterator[tuple[str, MessageSamples]]:
-        for message in self._chosen(self._bag.messages(frozenset(self._readers))):
+        messages = self._chosen(self._bag.messages(frozenset(self._readers)))
+        if len(self._of_blocks) < len(self._sources):
+            yield from self._one_by_one(messages)
+            return
+        for batch in self._batches(messages):
+            found = self._at_once(batch)
+            yield from self._one_by_one(batch) if found is None else found
+
+    def _batches(self, messages: Iterator[RawMessage]) -> Iterator[list[RawMessage]]:
+        """Yield messages by the part, also those before a damage."""
+        clock = self.topics.get("currents") or next(iter(self.topics.values()))  # where only references are read
+        row = 4 * len(BLOCK_FIELDS[clock.type_name])
+        batch: list[RawMessage] = []
+        besides: int | None = None
+        left = PART_SAMPLES
+        try:
+            for message in messages:
+                batch.append(message)
+                if message.topic == clock.name:
+                    besides = _bytes_besides(message.data, row) if besides is None else besides
+                    left -= (len(message.data) - besides) // row
+                if left <= 0 or len(batch) == _AT_ONCE:
+                    yield batch
+                    batch, left = [], left if left > 0 else PART_SAMPLES
+        except BagError:
+            yield batch
+            raise
+        yield batch
+
+    def _at_once(self, batch: list[RawMessage]) -> list[tuple[str, MessageSamples]] | None:
+        """Return the pieces of messages, the currents last, which complete a part; None where one is unusual."""
+        of_topic: dict[str, list[bytes | memoryview]] = defaultdict(list)
+        for message in batch:
+            of_topic[message.topic].append(message.data)
+        found = []
+        for section, (topic, reader) in self._of_blocks.items():
+            if messages := of_topic.get(topic):
+                piece = reader(messages)
+                if piece is None:
+                    return None
+                found.append((section, piece))
+        return sorted(found, key=lambda entry: entry[0] == "currents")
+
+    def _one_by_one(self, messages: Iterable[RawMessage]) -> Iterator[tuple[str, MessageSamples]]:
+        for message in messages:
             for section, reader in self._readers[message.topic]:
                 try:
                     piece = reader(message)
@@ -238,16 +297,13 @@ class SignalBuilder:
 
     def build(self, pieces: list[MessageSamples]) -> Signal:
         """Return the next pieces, one or more, as a signal; raises MessageTypeError, SamplePeriodError."""
-        count = np.array([len(piece.columns[0]) for piece in pieces])
+        count = _put_together([len(piece.columns[0]) if piece.samples is None else piece.samples for piece in pieces])
         self._check_periods(pieces)
-        if all(isinstance(piece.stamp, int) for piece in pieces):
-            each = [int(piece.stamp) for piece in pieces]
-            self._check_time(min(each), max(each))
-            stamp = np.array(each, np.int64)
-        else:
-            stamp = np.concatenate([np.atleast_1d(np.asarray(piece.stamp, np.int64)) for piece in pieces])
+        whole = [piece.stamp for piece in pieces if isinstance(piece.stamp, int)]
+        self._check_time(min(whole, default=0), max(whole, default=0))
+        stamp = _put_together([piece.stamp for piece in pieces])
         first = _counts(pieces)
-        if len(stamp) > len(pieces) or (first is not None and len(first) > len(pieces)):
+        if len(stamp) > len(count) or (first is not None and len(first) > len(count)):
             count = np.ones(int(count.sum()), np.int64)
             first = first if first is None or len(first) == len(count) else None
         lost, losses = self._count.lost, self._count.losses
@@ -347,13 +403,13 @@ class SignalBuilder:
                 continue
             if not 0.0 < period < LONGEST_PERIOD:
                 raise SamplePeriodError(
-                    f"A message on {self.topic} stamped {np.min(piece.stamp)} ns declares a sample period of {period} "
+                    f"A message on {self.topic} stamped {_earliest(piece)} ns declares a sample period of {period} "
                     "s: correct its publisher, or give the period in a signals file."
                 )
             if abs(period - self.period) > _SAME_PERIOD * self.period:
                 raise SamplePeriodError(
                     f"The sample period of {self.topic} changes from {self.period} to {period} s at stamp "
-                    f"{np.min(piece.stamp)} ns: record each rate in a bag of its own."
+                    f"{_earliest(piece)} ns: record each rate in a bag of its own."
                 )
 
 
@@ -362,11 +418,28 @@ def _counts(pieces: list[MessageSamples]) -> NDArray[Any] | None:
     counts = [piece.first_sample for piece in pieces if piece.first_sample is not None]
     if len(counts) < len(pieces):
         return None
-    whole = [first for first in counts if isinstance(first, int)]
-    if len(whole) == len(counts):
-        found = np.array(whole, object)
-        return found.astype(np.int64) if all(abs(first) < STAMP_LIMIT for first in whole) else found
-    return np.concatenate([np.atleast_1d(np.asarray(first, np.int64)) for first in counts])
+    whole = [abs(first) for first in counts if isinstance(first, int)]
+    return _put_together(counts, np.int64 if max(whole, default=0) < STAMP_LIMIT else object)
+
+
+def _put_together(found: Sequence[int | IntArray], kind: type = np.int64) -> NDArray[Any]:
+    """Return numbers, and arrays of them (n,), as one array."""
+    if all(isinstance(entry, int) for entry in found):
+        return np.array(found, kind)
+    return np.concatenate([np.atleast_1d(np.asarray(entry, kind)) for entry in found])
+
+
+def _bytes_besides(data: bytes | memoryview, row: int) -> int:
+    """Return the bytes of a block besides its samples, of ``row`` bytes each; all if it is none."""
+    try:
+        return len(data) - row * read_head(data).samples
+    except ValueError:
+        return len(data)
+
+
+def _earliest(piece: MessageSamples) -> int:
+    """Return the stamp of a message, ns: its first one, or that of the first of several blocks."""
+    return int(np.min(piece.stamp) if piece.samples is None else np.ravel(piece.stamp)[0])
 
 
 def _unwrapped(stamp: IntArray, modulus: int, before: int | None) -> IntArray:

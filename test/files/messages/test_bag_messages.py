@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from drive_id.files.messages.block_codec import decode_block, encode_block
+from drive_id.files.messages.block_codec import decode_block, decode_blocks, encode_block
 from drive_id.files.messages.messages import (
     BLOCK_FIELDS,
     CURRENT_REFERENCE,
@@ -75,6 +75,60 @@ def test_blocks_are_cdr(name, stamp, first, period, frame, data):
         assert block.head[:4] == (stamp, first, period, n)
         for found, column in zip(block.values, columns, strict=True):
             np.testing.assert_array_equal(found, column)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    st.sampled_from(sorted(BLOCK_FIELDS)),
+    st.lists(st.tuples(st.integers(0, 2**31 * 10**9 - 1), st.integers(0, 2**61 - 1), st.integers(1, 5)), min_size=1),
+    st.floats(1e-7, 1.0),
+    st.text(st.characters(exclude_characters="\0", codec="utf-8"), max_size=9),
+)
+def test_blocks_decoded_together_are_those_decoded_one_by_one(name, heads, period, frame):
+    session = (2**64 - 1, 7, True, False) if name == CURRENT_REFERENCE else None
+    rng, fields = np.random.default_rng(len(heads)), len(BLOCK_FIELDS[name])
+    messages = [
+        encode_block(stamp, first, period, rng.normal(size=(fields, n)).astype(np.float32), frame, session)
+        for stamp, first, n in heads
+    ]
+    found, single = decode_blocks(messages, fields), [decode_block(message, fields) for message in messages]
+    assert found is not None
+    assert (found.sample_period, found.frame) == (period, frame)
+    assert list(zip(found.stamp, found.first_sample, found.samples, strict=True)) == heads
+    np.testing.assert_array_equal(found.values, np.hstack([np.stack(block.values) for block in single]))
+
+
+_ONES = np.ones((3, 4), np.float32)
+
+
+def _block(stamp=0, first=7, period=1e-4, values=_ONES, frame="drive"):
+    return encode_block(stamp, first, period, values, frame)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        _block(period=2e-4), _block(frame="other"), _block(frame="drives"), _block(first=2**61),
+        _block(values=np.ones((3, 0), np.float32)), _block(values=[np.ones(n, np.float32) for n in (4, 3, 4)]),
+        b"\0\0" + _block()[2:], _block() + bytes(4),
+        _block()[:8] + struct.pack("<I", 10**9) + _block()[12:],
+        _block()[:-20] + struct.pack("<I", 2**32 - 1) + _block()[-16:],
+        *(_block()[:length] for length in range(len(_block()))),
+    ],
+)  # fmt: skip
+def test_blocks_that_differ_are_not_decoded_together(other):
+    assert decode_blocks([_block(), _block()], 3) is not None
+    assert decode_blocks([_block(), other], 3) is None
+    assert decode_blocks([_block(), other, _block()], 3) is None
+
+
+def test_stamps_before_the_epoch_and_absurd_periods():
+    before = _block()[:4] + struct.pack("<iI", -2, 5) + _block()[12:]
+    found = decode_blocks([before], 3)
+    assert found is not None
+    assert found.stamp.tolist() == [decode_block(before, 3).head.stamp] == [5 - 2 * 10**9]
+    for period in (0.0, -1e-4, 1e4, float("nan")):
+        assert decode_blocks([_block(period=period)], 3) is None
 
 
 def test_every_broken_block_is_refused():

@@ -472,8 +472,9 @@ class StreamJoin:
         self._taken = tuple(taken)
         if not found.any():
             return []
-        values = [other.values[index[found]] for other, index in zip(others, indices, strict=True)]
-        return [stamp[found], self.tracks[0].values[: len(stamp)][found], *values]
+        rows = [_rows(other.values, index[found]) for other, index in zip(others, indices, strict=True)]
+        own = np.flatnonzero(found)
+        return [_rows(stamp, own), _rows(self.tracks[0].values, own), *rows]
 
     def _hand_on(self, new: _Rows) -> list[Piece]:
         """Divide the joined samples into gap-free runs, leave out the shortest, and hand on the others."""
@@ -530,6 +531,12 @@ class StreamJoin:
             i_dq_reference=self._reference(stamp, period) if self._reference else None,
         )
         return Piece(samples, continues)
+
+
+def _rows(values: NDArray[Any], index: IntArray) -> NDArray[Any]:
+    """Return rows at increasing indices, at least one: without a copy where none is left out in between."""
+    first, last = int(index[0]), int(index[-1])
+    return values[first : last + 1] if last - first == len(index) - 1 else values[index]
 
 
 def _derived_speed(angle: FloatArray, starts: IntArray, period: float) -> FloatArray:

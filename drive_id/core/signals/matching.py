@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from drive_id.core.numerics.compiled import compiled
 from drive_id.errors import DataError
 from drive_id.types import BoolArray, IntArray
 
@@ -21,6 +22,18 @@ def nearest(clock: IntArray, stamp: IntArray) -> IntArray:
     return closer
 
 
+@compiled("const i8[::1], const i8[::1], i8, i8[::1]")
+def _walk(clock: IntArray, stamp: IntArray, offset: int, index: IntArray) -> None:
+    """Write where :func:`nearest` finds the partners of an increasing clock (N,), shifted by ``offset`` ns, (N,)."""
+    right, last = 0, len(stamp) - 1
+    for k in range(len(clock)):
+        wanted = clock[k] + offset
+        while right < last and stamp[right] < wanted:
+            right += 1
+        left = max(right - 1, 0)
+        index[k] = left if abs(stamp[left] - wanted) <= abs(stamp[right] - wanted) else right
+
+
 @dataclass(frozen=True)
 class Phase:
     """Circular mean of the offset of a signal's stamps from those of the clock, over one sample period."""
@@ -33,9 +46,13 @@ class Phase:
         """Measure the phase of ``stamp`` (M,), increasing, on ``clock`` (N,), ns, of period ``step``, ns."""
         if not len(clock) or not len(stamp):
             return cls()
-        away = stamp[nearest(clock, stamp)] - clock
-        near = np.abs(away) <= step
-        return cls(complex(np.exp(2j * np.pi * away[near] / step).sum()), int(near.sum()))
+        index = np.empty(len(clock), np.int64)
+        _walk(clock, stamp, 0, index)
+        away = stamp[index] - clock
+        away = away[np.abs(away) <= step]
+        same = len(away) > 1 and away.min() == away.max()
+        directions = np.exp(2j * np.pi * (away[:1] if same else away) / step)
+        return cls(complex(len(away) * directions[0] if same else directions.sum()), len(away))
 
     def __add__(self, other: Phase) -> Phase:
         return Phase(self.total + other.total, self.count + other.count)
@@ -84,7 +101,8 @@ def partners(
     """
     if not len(clock) or not len(stamp):
         return np.zeros(len(clock), np.int64), np.zeros(len(clock), np.bool_)
-    index = nearest(clock + offset, stamp)
+    index = np.empty(len(clock), np.int64)
+    _walk(clock, stamp, offset, index)
     found = np.abs(stamp[index] - clock - offset) <= 0.5 * step
     candidates = np.flatnonzero(found)
     found[candidates[1:][np.diff(index[candidates]) == 0]] = False

@@ -1,19 +1,18 @@
 """Accumulate bags for a fit, in memory that does not grow with their length.
 
-A recording of up to :data:`WHOLE` samples is read once and kept between the prescan and accumulating. A longer one is
-read twice, unless i_max is set: for the prescan, then to accumulate. Another thread reads, unpacks and joins meanwhile.
-For the MAD and for pictures, a short recording is kept whole, and eight evenly spaced parts of a longer one.
+Up to :data:`~drive_id.files.read.several.KEPT` samples are kept between the prescan and accumulating. More are read
+twice, unless i_max is set: for the prescan, then to accumulate. Another thread reads, unpacks and joins meanwhile. For
+the MAD and for pictures, a short recording is kept whole, and eight evenly spaced parts of a longer one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 
 from drive_id.core.accumulation.accumulated import Accumulated
 from drive_id.core.accumulation.evidence import Evidence
-from drive_id.core.accumulation.excerpts import SPAN, SPANS, Spans
+from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.signals.join import Piece
@@ -22,9 +21,6 @@ from drive_id.files.read.extraction import DividedError, UnusualError
 from drive_id.files.read.several import SeveralBags, digests_of
 from drive_id.fitting.one_drive import Part, of_one_drive
 from drive_id.types import Progress, silent
-
-WHOLE = SPAN * SPANS
-"""Longest recording, in samples, that is kept whole."""
 
 
 def accumulate(
@@ -48,7 +44,7 @@ def accumulate(
     signals = signals or SignalMap()
     reading = SeveralBags(bags, signals, namespace, tell, threads=threads)
     try:
-        evidence, spans = _gathered(reading, settings, tell)
+        evidence, spans = _gathered(reading, settings)
         validation, warnings = spans.samples(), reading.warnings
     except DividedError:
         evidence, validation, said = of_one_drive(_gathered_apart(reading, settings, tell), tell)
@@ -65,17 +61,16 @@ def accumulate(
     )
 
 
-def _gathered(reading: SeveralBags, settings: FitSettings, tell: Progress) -> tuple[Evidence, Spans]:
-    """Prescan and accumulate: in one pass if i_max is set, else a short recording from memory, or in a second pass."""
+def _gathered(reading: SeveralBags, settings: FitSettings) -> tuple[Evidence, Spans]:
+    """Prescan and accumulate: together if i_max is set, else one after the other."""
     known = settings.i_max is not None
     while True:
-        prescan, spans, recordings = Prescan(), Spans(), 0
+        prescan, spans = Prescan(), Spans()
         evidence = prescan.prepare(settings) if known else None
         try:
-            for piece, begins in reading.pieces("Accumulating" if known else "Reading"):
+            for piece, begins in reading.pieces("Accumulating" if known else "Reading", keep=not known):
                 prescan.add(piece.samples, continues=piece.continues)
                 spans.add(piece)
-                recordings += begins
                 if evidence is not None:
                     _add(evidence, piece, begins=begins)
             break
@@ -86,13 +81,8 @@ def _gathered(reading: SeveralBags, settings: FitSettings, tell: Progress) -> tu
         prescan.inform(evidence)
         return evidence, spans
     evidence = prescan.prepare(settings)
-    if spans.whole and recordings <= 1:  # of several, the samples kept do not tell where each begins
-        evidence.next_recording()
-        for samples in spans.samples():
-            evidence.add(samples, partial(_tell_done, tell, len(samples)))
-    else:
-        for piece, begins in reading.pieces("Accumulating"):
-            _add(evidence, piece, begins=begins)
+    for piece, begins in reading.again("Accumulating"):
+        _add(evidence, piece, begins=begins)
     return evidence, spans
 
 
@@ -134,7 +124,3 @@ def _add(evidence: Evidence, piece: Piece, *, begins: bool) -> None:
     if begins:
         evidence.next_recording()
     evidence.add(piece.samples, continues=piece.continues)
-
-
-def _tell_done(tell: Progress, count: int, done: int) -> None:
-    tell("Accumulating", done / count)

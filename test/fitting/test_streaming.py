@@ -24,6 +24,7 @@ from drive_id.errors import ConfigurationError, CoverageError, DataError, NotABa
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read import extraction
 from drive_id.files.read import reader as bag_pieces
+from drive_id.files.read import several as several_bags
 from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
@@ -40,6 +41,7 @@ def long(monkeypatch):
     monkeypatch.setattr(extraction, "PART_SAMPLES", 700)
     monkeypatch.setattr(bag_pieces, "_LOCKING_PAIRS", 1000)
     monkeypatch.setattr(streaming, "Spans", partial(Spans, 1000, 4))
+    monkeypatch.setattr(several_bags, "KEPT", 3000)
 
 
 def assert_same(found: Evidence, expected: Evidence, accuracy: float = 1e-12) -> None:
@@ -117,6 +119,31 @@ def test_a_short_recording_is_fitted_from_exactly_the_same_numbers(bag):
     (kept,) = found.validation
     for name in ("stamp", "i_abc", "u_abc", "angle", "speed", "run_starts"):
         np.testing.assert_array_equal(getattr(kept, name), getattr(recording.samples, name))
+
+
+@pytest.mark.parametrize("threads", [True, False])
+@pytest.mark.usefixtures("long")
+def test_samples_kept_and_samples_read_again_give_the_same_sums(simulation, bag, tmp_path, monkeypatch, threads):
+    later = replace(simulation.samples, stamp=simulation.samples.stamp + 10**12)
+    write_recording(tmp_path / "later", later, simulation.truth)
+    bags, read = [bag, tmp_path / "later"], []
+
+    def noted(path, *rest, **more):
+        read.append(path)
+        return bag_pieces.bag_pieces(path, *rest, **more)
+
+    monkeypatch.setattr(several_bags, "bag_pieces", noted)
+    found = []
+    for kept, paths in ((0, [*bags, *bags]), (39_999, [*bags, *bags]), (40_000, bags)):
+        monkeypatch.setattr(several_bags, "KEPT", kept)
+        read.clear()
+        found.append(accumulate(bags, SETTINGS, threads=threads))
+        assert read == paths
+    for one in found[1:]:
+        np.testing.assert_array_equal(one.evidence.information.blocks, found[0].evidence.information.blocks)
+        for name in ("samples", "last_stamp", "warnings", "digests", "unchecked"):
+            assert getattr(one, name) == getattr(found[0], name)
+        assert one.truth is not None
 
 
 @pytest.mark.usefixtures("long")
@@ -244,8 +271,6 @@ def test_bad_recordings_are_refused_in_the_same_words(simulation, tmp_path):
 
 @pytest.mark.usefixtures("long")
 def test_progress_goes_from_nothing_to_all_and_names_the_rate(bag, monkeypatch):
-    from drive_id.files.read import several as several_bags
-
     monkeypatch.setattr(several_bags, "_LONG", 5000)
     told = []
     accumulate([bag], SETTINGS, tell=lambda what, share: told.append((what, share)))
@@ -285,7 +310,9 @@ MEASURE = """
 import resource, sys, tracemalloc
 from pathlib import Path
 from drive_id.core.fit_settings import FitSettings
+from drive_id.files.read import several
 from drive_id.fitting.streaming import accumulate
+several.KEPT = 100_000
 tracemalloc.start()
 found = accumulate([Path(sys.argv[1])], FitSettings(method="joint"), threads=False)
 print(found.samples, tracemalloc.get_traced_memory()[1], resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
@@ -308,7 +335,7 @@ def repeated(path: Path, samples, times: int) -> Path:
 
 @pytest.mark.process
 def test_memory_does_not_grow_with_the_recording(simulation, tmp_path):
-    """A recording of 60 s against one of 20 s; the shorter one is too long to be kept as a whole already.
+    """A recording of 60 s against one of 20 s; the shorter one is too long to be kept as a whole, of what is kept here.
 
     Without the thread that reads ahead: how many of its few pieces wait at the peak is up to the scheduler.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from dataclasses import replace
@@ -13,7 +14,8 @@ from rosbags.highlevel import AnyReader
 from test_bag_reader import SPEED, STRANGER, stranger
 
 from drive_id.core.signals.join import joined
-from drive_id.errors import NonFiniteError, StampOrderError
+from drive_id.errors import DriveIdError, NonFiniteError, StampOrderError
+from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.messages.signals_file import SignalMap, parse_signals
 from drive_id.files.read import extraction
 from drive_id.files.read import reader as module
@@ -97,6 +99,44 @@ def copied(source, target, change):
         for _, topic, data, time in change(messages):
             writer.write(topic, data, time)
     return target
+
+
+def found_in(path):
+    """Return the samples, the sizes of the pieces and the warnings of a bag, or the error that refuses it."""
+    try:
+        pieces, facts = read(path)
+    except (DriveIdError, DividedError) as error:
+        return repr(error)
+    return [
+        (p.samples.i_abc.tobytes(), p.samples.angle.tobytes(), p.samples.stamp.tolist()) for p in pieces
+    ], facts.warnings
+
+
+CHANGES = {
+    "none": lambda data: data,
+    "an empty block": lambda _: encode_block(0, 0, 1e-4, [np.zeros(0, np.float32)] * 3, "drive"),
+    "another drive": lambda data: data.replace(b"drive", b"other"),
+    "another period": lambda data: data.replace(struct.pack("<d", 1e-4), struct.pack("<d", 2e-4)),
+    "no period": lambda data: data.replace(struct.pack("<d", 1e-4), struct.pack("<d", 0.0)),
+    "cut": lambda data: data[:60],
+    "of several nanoseconds": lambda data: data[:8] + b"\xff" * 4 + data[12:],
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize("topics", [("/phase_currents",), ("/phase_currents", "/resolver")])
+def test_messages_read_at_once_are_those_read_one_by_one(tmp_path, ours, monkeypatch, change, topics):
+    """Of two that cannot be read, the first is told."""
+
+    def changed(messages):
+        return [(k, t, CHANGES[change](data) if k in (33, 34, 35, 36) and t in topics else data, time)
+                for k, t, data, time in messages]  # fmt: skip
+
+    path = copied(ours, tmp_path / "changed", changed)
+    at_once = found_in(path)
+    monkeypatch.setattr(extraction.SignalStream, "_at_once", lambda *_: None)
+    assert at_once == found_in(path)
+    assert isinstance(at_once, str) == (change not in ("none", "an empty block"))
 
 
 def test_lost_and_repeated_blocks(tmp_path, ours):

@@ -98,6 +98,7 @@ class SeveralBags:
         self._facts: list[tuple[Path, BagFacts]] = []
         self._several = SeveralRecordings()
         self._start = 0.0
+        self._share = 0.0  # of the bags that has been read; 0 if unknown
         self._kept: deque[tuple[Piece, bool]] | None = None
 
     @property
@@ -155,7 +156,7 @@ class SeveralBags:
         for found in self._all(what):
             if self._kept is not None:
                 self._kept.append(found)
-            if self.samples > KEPT:
+            if self.samples > KEPT * (self._share or 1.0):  # or will be when all is read
                 self._kept = None
             yield found
 
@@ -202,7 +203,8 @@ class SeveralBags:
         elapsed = time.monotonic() - self._start
         if self.samples >= _LONG and elapsed:
             what = f"{what}, {self.samples / elapsed * 1e-6:.2f} million samples/s"
-        self._tell(what, (self._number + share) / len(self._bags))
+        self._share = (self._number + share) / len(self._bags)
+        self._tell(what, self._share)
 
 
 def digests_of(bags: Sequence[Path]) -> dict[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scipy import sparse
 
-from drive_id.core.full.model import FullModel, ModelSpec, sum_basis
+from drive_id.core.full.model import FullModel, ModelSpec, map_basis, own_basis
 from drive_id.core.full.windows import Windows
 from drive_id.types import FloatArray
 
@@ -16,4 +16,4 @@ def design(model: FullModel, windows: Windows) -> FloatArray:
 
 def basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
     """Return T (size, M), from the unknowns of a variant to the columns of the regression."""
-    return sparse.csr_array(model.expansion @ sum_basis(model, spec))
+    return sparse.csr_array(model.expansion @ sparse.hstack([map_basis(model, spec), own_basis(model, spec)]))

@@ -455,13 +455,8 @@ def _turned_on(windows: Windows) -> ComplexArray:
     return np.asarray(windows.period * (ahead[:, 1] - ahead[:, 0]))
 
 
-def sum_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
-    """Return T (summed.size, M), from the unknowns of a variant to the columns of the sums, those of the maps first."""
-    return sparse.csr_array(sparse.hstack([map_basis(model, spec), own_basis(model, spec)]))
-
-
 def map_basis(model: FullModel, spec: ModelSpec) -> sparse.csr_array:
-    """Return the part (summed.size, K) of T for map and harmonics.
+    """Return the part (summed.size, K) of T, from a variant's unknowns to columns of the sums, for map and harmonics.
 
     Raises ValueError if the maps are free and the columns of the sums are reciprocal.
     """

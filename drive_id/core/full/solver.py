@@ -347,7 +347,7 @@ class Solver:
         """
         others = slice(self._others)
         if without is None:
-            return congruent(t, self.total), self.total[:, others].copy()
+            return congruent(t, self.total), self.total[:, others]
         triangle, effects, size = self._folds[without], self.model.effects, self.model.summed.size
         beside = self.total[:, others] - columns_of(triangle, size, self._others)
         if self._effects is not None:

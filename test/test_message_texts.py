@@ -93,8 +93,8 @@ def test_units_and_optional_parts():
     assert of_phase.startswith("The resistance of phase b is 0.00100 ± 0.00010 Ω above"), "R = 2 Ω is in Ω"
     rivals = Message("iron_loss_current", value=1.0, sigma=0.1, rivals="flux_lag_4ms,dc_link", several_speeds=True)
     assert rivals.endswith(
-        " This is open: flux that lags the current by 4 ms or a varying DC-link voltage would explain these data "
-        "nearly as well; a faster trajectory would tell."
+        " This is ambiguous: flux that lags the current by 4 ms or a varying DC-link voltage would explain these data "
+        "nearly as well; a faster trajectory would distinguish them."
     )
     many = {**rivals.values, "rivals": "flux_lag_4ms,dc_link,iron_loss,flux_lag,link_sag"}
     assert "by 4 ms, a varying DC-link voltage, iron loss or 2 others would" in Message("iron_loss_current", **many)

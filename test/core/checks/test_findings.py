@@ -422,7 +422,7 @@ def test_the_scale_of_voltages(ipm, factor, code):
 def test_a_sensor_of_another_gain(ipm, gain, phase):
     finding = found(replace(ipm, i_abc=ipm.i_abc * np.where(np.arange(3) == phase, gain, 1.0)))[0]
     assert finding.code == "zero_sequence"
-    assert f"phase {'abc'[phase]} reads {gain} times too much" in finding
+    assert f"phase {'abc'[phase]} reads {gain} times its true current" in finding
 
 
 def test_noise_of_the_currents_is_no_fault_of_their_gains(ipm):

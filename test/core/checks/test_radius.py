@@ -67,7 +67,7 @@ def test_the_empty_half_of_the_disc_is_named(samples, axis, sign, name):
     arrays = {key: getattr(samples, key)[kept] for key in ("stamp", "i_abc", "u_abc", "angle", "speed")}
     starts = np.flatnonzero(np.diff(kept, prepend=-2) > 1)
     said = identify([replace(samples, **arrays, run_starts=starts)], FitSettings("joint", i_max=300.0)).report.warnings
-    assert f" % of its half with {name}: elsewhere, the map is worth" in " ".join(said)
+    assert f" % of its half with {name}: elsewhere, use the map" in " ".join(said)
 
 
 def test_what_was_reached_is_merged_and_stored():

@@ -247,7 +247,7 @@ def test_voltages_that_are_a_whole_sample_early_may_be_filtered():
     found = identify([replace(samples, u_abc=lfilter([0.5], [1.0, -0.5], samples.u_abc, axis=0))], FULL)
     told = next(entry for entry in found.calibrations if entry.name == "voltage_delay")
     assert told.value == -1.0
-    assert "behind a filter" in told.message
+    assert "Filtered measured voltages" in told.message
     assert told.message.kind == "statement"
     assert covered(found) > 0.9
 

@@ -52,7 +52,7 @@ def test_a_winding_that_is_warmer_behind_a_pause_is_no_ripple_of_the_link():
     rise = correction(found, "resistance_change_2")
     assert rise.value == pytest.approx(0.004, abs=3 * rise.sigma)
     assert rise.sigma < 2e-4
-    assert rise.message.startswith("Behind the pause at 3 s of recording 1 the resistance differs by")
+    assert rise.message.startswith("After the pause at 3 s of recording 1 the resistance differs by")
     assert abs(found.resistance - 0.02) < 3 * found.sigma_resistance
     assert worst(found) < 1e-3
 

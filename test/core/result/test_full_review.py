@@ -128,7 +128,7 @@ def test_a_delay_beyond_what_can_be_taken_out_is_told(good):
 
 @pytest.mark.accuracy
 def test_a_slow_rotor_is_told():
-    assert "while a window lasts" in told(simulate(speeds=(10.0,)).samples)
+    assert "electrical within a window" in told(simulate(speeds=(10.0,)).samples)
 
 
 @pytest.mark.accuracy

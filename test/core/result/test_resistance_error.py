@@ -23,7 +23,7 @@ def assessment(noise, misfit, curve, left_open=0.0):
 
 @pytest.mark.parametrize(
     ("parts", "cause"),
-    [((1e-5, 2e-5, 5e-5), "inverter's drop still bends"), ((1e-5, 5e-5, 2e-5), "what the model cannot follow"),
+    [((1e-5, 2e-5, 5e-5), "inverter's drop still bends"), ((1e-5, 5e-5, 2e-5), "a misfit that recurs"),
      ((5e-5, 1e-5, 2e-5), "residuals of later samples are larger"),
      ((1e-5, 0.0, 2e-5, 5e-5), "leave open whether the voltages are late")],
 )  # fmt: skip

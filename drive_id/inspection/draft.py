@@ -168,7 +168,7 @@ class _DraftText:
         zero, largest = zero_reading(i), float(np.abs(i.values).max())
         factor, said = i.unit_factor, ""
         if zero.any():
-            said = f"A per count: these are readings of a converter, {_numbers(zero)} without current"
+            said = f"A per count: these are raw readings of an A/D converter, {_numbers(zero)} without current"
         elif factor == 1.0 and largest > _LARGEST_CURRENT:
             factor, said = 0.001, f"taken as mA, for they reach {largest:.3g}"
         elif factor == 1.0 and is_whole(i):

@@ -25,7 +25,7 @@ from drive_id.common.temperature import COPPER
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.resolution import Resolution
-from drive_id.core.full.windows import EARLIEST, SHIFTS, Windows
+from drive_id.core.full.windows import EARLIEST, SHIFTS, Terms
 from drive_id.core.maps.coenergy import GradientSpline, PotentialSpline
 from drive_id.core.maps.flux_models import ColumnArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
@@ -227,12 +227,12 @@ class FullModel:
         current = self.i_max * np.linspace(0.0, 1.0, _CURVE_POINTS) ** 2
         return np.asarray(np.linalg.lstsq(self.shapes.coarse(current), self.shapes(current))[0])
 
-    def contains(self, windows: Windows) -> BoolArray:
+    def contains(self, windows: Terms) -> BoolArray:
         """Tell (N,) which windows start and end within the range of the map."""
         inside = self.flux.contains(windows.i_dq.reshape(-1, 2)).reshape(-1, 2)
         return np.asarray(inside.all(axis=1))
 
-    def nonzero_columns(self, windows: Windows) -> Iterator[tuple[FloatArray, IntArray]]:
+    def nonzero_columns(self, windows: Terms) -> Iterator[tuple[FloatArray, IntArray]]:
         """Yield the nonzero columns of all windows in the sums, (2 N, C), and their indices (C,), increasing.
 
         They come in groups of windows that are close in current: these share most nonzero basis functions.
@@ -257,12 +257,12 @@ class FullModel:
                 rows *= np.sqrt(weight[group])[:, None, None]
             yield rows.reshape(-1, len(indices)), indices
 
-    def residuals(self, windows: Windows, estimate: FloatArray) -> FloatArray:
+    def residuals(self, windows: Terms, estimate: FloatArray) -> FloatArray:
         """Return Z times an estimate (size,), (N, 2), Vs."""
         orders = [order for order, columns in self.harmonics.items() if estimate[columns].any()]
         return self.design_times(windows, sparse.csr_array(estimate[:, None]), orders)[..., 0]
 
-    def design_times(self, windows: Windows, t: sparse.csr_array, orders: Sequence[int]) -> FloatArray:
+    def design_times(self, windows: Terms, t: sparse.csr_array, orders: Sequence[int]) -> FloatArray:
         """Return Z T (N, 2, M) for T (size, M) without forming Z; the rows of T of other ``orders`` are empty."""
         out = np.zeros((len(windows), 2, t.shape[1]))
         known = self._beside_flux(windows)
@@ -274,14 +274,14 @@ class FullModel:
                 add_end(*of_end, start, t.indptr, t.indices, t.data, out)
         return out if windows.weight is None else out * np.sqrt(windows.weight)[:, None, None]
 
-    def map_squares(self, windows: Windows) -> float:
+    def map_squares(self, windows: Terms) -> float:
         """Return the sum of the squares of the columns of a free map."""
         first, last = (self.flux.rows(windows.i_dq[:, end]).sparse(self.flux.parameters) for end in (0, 1))
         turn = np.repeat(np.cos(windows.angle[:, 1] - windows.angle[:, 0]), 2)
         squares = first.power(2).sum(axis=1) + last.power(2).sum(axis=1) - 2 * turn * first.multiply(last).sum(axis=1)
         return float(np.repeat(windows.weights, 2) @ squares)
 
-    def _beside_flux(self, windows: Windows) -> FloatArray:
+    def _beside_flux(self, windows: Terms) -> FloatArray:
         """Return the columns (N, 2, K) before those of the flux, or before the effects if the windows have none."""
         count, (a, b, c) = len(windows), np.moveaxis(windows.shape * windows.drop_scale[:, None, None], -1, 0)
         columns = np.zeros((count, self.effects.start if windows.effects is None else self.map.start), np.complex128)
@@ -449,7 +449,7 @@ def delay_shares(delay: float) -> FloatArray:
     return np.append(held, 0.0)
 
 
-def _turned_on(windows: Windows) -> ComplexArray:
+def _turned_on(windows: Terms) -> ComplexArray:
     """Return by how much the integral (N,) changes per sample by which the voltages act early, Vs."""
     ahead = windows.held * np.exp(1j * windows.speed * windows.period[:, None])
     return np.asarray(windows.period * (ahead[:, 1] - ahead[:, 0]))

@@ -15,7 +15,7 @@ from scipy import linalg
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.model import EFFECT_COLUMNS, FullModel
-from drive_id.core.full.windows import MEASURED, WindowCutter, Windows, interval, kept_of
+from drive_id.core.full.windows import MEASURED, Terms, WindowCutter, Windows, interval, kept_of
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.core.numerics.threads import MOST_THREADS, in_threads, one_blas_thread
@@ -54,17 +54,17 @@ class WindowSums:
         self.windows = 0
         self.outside = 0
         self._link = np.zeros(2)  # integral of the DC-link voltage, V s, over the time in which it was recorded, s
-        self._cutter = WindowCutter(model.shapes, short=SEGMENT)
+        self._cutter = WindowCutter(model.shapes, SEGMENT)
         self._folds: list[FloatArray] = []
         self._shared: set[int] = set()  # folds shared with a copy
         self._squares = np.zeros(FOLDS)  # of the columns of a free map, where those of the sums are reciprocal
-        self._due: list[tuple[int, Windows]] = []  # folds and windows whose products are still to be formed
+        self._due: list[tuple[int, Terms]] = []  # folds and windows whose products are still to be formed
         self.effects: FloatArray | None = None
         """Z'z (FOLDS, size, EFFECT_COLUMNS), z being the columns of the effects; see :meth:`with_effects`."""
         self.known: dict[Any, Any] = {}  # to solvers of these folds, with any effects
         self._some: list[FloatArray] = []  # triangles of the folds over the kept windows, where these are not all
         self._counts = np.zeros(FOLDS)
-        self._pending: list[Windows] = []
+        self._pending: list[Terms] = []
         self._segment = 0  # of the pending windows
         self._last = -1  # last segment with windows
         self._kept: dict[int, Windows] = {}  # by segment
@@ -360,7 +360,7 @@ class WindowSums:
             self._shared.discard(fold)
         return triangles[fold]
 
-    def _take(self, windows: Windows) -> None:
+    def _take(self, windows: Terms) -> None:
         """Collect windows until a segment is complete."""
         usable = self.model.contains(windows)
         self.outside += int((~usable & ~windows.short).sum())
@@ -379,8 +379,9 @@ class WindowSums:
 
     def _flush(self, *, form: bool = True) -> None:
         """Complete a segment; its products are formed later, see :meth:`_form_products`."""
-        windows = Windows.joined(self._pending) if self._pending else None
-        self._pending = []
+        parts, self._pending = self._pending, []
+        kept = kept_of(np.array(self._segment), self._every)
+        windows = (Windows if kept else Terms).joined(parts) if parts else None
         if windows is None or windows.short.all():
             return
         fold, whole = self._segment % FOLDS, windows.part(~windows.short) if windows.short.any() else windows
@@ -390,7 +391,7 @@ class WindowSums:
         self._counts[fold] += whole.weights.sum()
         self.windows += len(whole)
         self._last = self._segment
-        if kept_of(np.array(self._segment), self._every):
+        if isinstance(windows, Windows):
             short = windows.part(windows.short)
             for known, new in ((self._kept, whole), (self._short, short)):
                 known[self._segment] = Windows.joined([known[self._segment], new] if self._segment in known else [new])
@@ -400,7 +401,7 @@ class WindowSums:
 
     def _form_products(self, threads: int = MOST_THREADS) -> None:
         """Add the products of the segments that are due to their folds."""
-        by_fold: dict[int, list[Windows]] = {}
+        by_fold: dict[int, list[Terms]] = {}
         for number, windows in self._due:
             by_fold.setdefault(number, []).append(windows)
         self._due = []
@@ -408,7 +409,7 @@ class WindowSums:
         model = self.model
 
         def add(number: int) -> None:
-            windows = Windows.joined(by_fold.pop(number))
+            windows = Terms.joined(by_fold.pop(number))
             for rows, columns in model.nonzero_columns(windows):
                 add_triangle(rows.T @ rows, columns, triangles[number])
             if model.reciprocal:
@@ -443,7 +444,7 @@ class WindowSums:
             numbers = np.array(sorted(self._kept))  # those of a merged recording were kept by other numbers
             for number in numbers[~kept_of(np.arange(len(numbers)), 2)].tolist():
                 del self._kept[number], self._short[number]
-        self._cutter.short_every = self._every  # those of other segments would be dropped
+        self._cutter.every = self._every  # those of other segments would be dropped
 
 
 def with_products(matrix: FloatArray, products: FloatArray | None, model: FullModel) -> FloatArray:

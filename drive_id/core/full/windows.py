@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import numpy as np
 
@@ -23,6 +24,8 @@ from drive_id.core.frames import ROOT_THIRD, THIRD, ComplexArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes, drop_shape
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
+
+Own = TypeVar("Own", bound="Terms")
 
 WINDOW_ANGLE = np.deg2rad(60.0)
 """Angle turned in a window."""
@@ -78,12 +81,11 @@ _GOLDEN = 0.6180339887498949
 _AXES = np.exp(1j * frames.PHASE_SHIFTS)
 
 
-@dataclass(frozen=True, eq=False)
-class Windows:
-    """Terms of the balance over N windows."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Terms:
+    """Terms of the balance over N windows as far as the columns of the sums need them."""
 
     time: FloatArray  # (N,), time of the start, gaps not counted, s
-    gaps: FloatArray  # (N,), sum of the gaps since the start of the recording, s
     i_dq: FloatArray  # (N, 2, 2), measured currents at [start, end], A
     angle: FloatArray  # (N, 2), electrical angle at [start, end], rad
     voltage: ComplexArray  # (N,), int u_s, Vs
@@ -92,15 +94,10 @@ class Windows:
     # (N, len(SHIFTS)), T (u_s[end + shift] - u_s[start + shift]): change of the integral per sample of delay, Vs
     shifted: ComplexArray
     shape: FloatArray  # (N, S, 3), integrals of the inverter's shapes of each phase's current, s
-    # (N, L + 1, 3), integrals of the magnitudes of the coarse shapes, s, and last of the phase currents, As
-    rectified: FloatArray
     # (N, L), integrals of the coarse shapes minus those for the current one sample earlier, turned with the rotor, by
     # which a drive compensates the drop, s
     lag: ComplexArray
-    crossing: ComplexArray  # (N,), sum over the zero crossings of the phase currents, see :class:`_Sums`, s
-    # (N, L, 5), int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s), j conj(i_s), 1 and j:
-    # by how much the faults of the current sensors change their integrals, s, the last two s/A
-    sensed: ComplexArray
+    crossing: ComplexArray  # (N,), sum over the zero crossings of the phase currents, see :func:`_follow`, s
     # (N,), temperature of winding and, below, magnet above the reference temperature of resistance and flux map, K. The
     # winding: as recorded, else as set for the recording; the magnet: as recorded, else that of the winding.
     heating: FloatArray
@@ -108,22 +105,7 @@ class Windows:
     drop_scale: FloatArray  # (N,), DC-link voltage over the reference voltage of the inverter's curve
     period: FloatArray  # (N,), sample period, s
     held: ComplexArray  # (N, 2), voltage u_s held before [start, end], V
-    # (N, 2), d i_dq / dt before [start, end], A/s, from earlier samples only: the controller responds to the noise of a
-    # sample later, so that noise and slope are independent
-    slope: ComplexArray
-    # (N, 2, len(LAGS) + 1), i_dq at [start, end], interpolated between neighbouring samples to exclude the noise of the
-    # sample itself, minus the same after first-order lags of LAGS seconds; last, the interpolated current itself, A
-    lagging: ComplexArray
     speed: FloatArray  # (N, 2), electrical speed at [start, end], rad/s
-    turned: FloatArray  # (N, 2), electrical angle turned since the start of the run at [start, end], rad
-    heat: FloatArray  # (N,), int |i_s|^2 dt from the start of the recording to the start of the window, A^2 s
-    link: ComplexArray  # (N,), int u_s u_dc, V^2 s, NaN where the DC-link voltage is not known
-    loaded: ComplexArray  # (N,), int u_s p with the power p = 3/2 Re(u_s conj(i_s)) that the machine takes, V^2 A s
-    run: IntArray  # (N,), number of the gap-free run, below of the recording, and of a part of one between pauses
-    recording: IntArray
-    section: IntArray
-    # (N,), smallest absolute value of a phase current within the window, 0 where one crosses zero, A
-    clearance: FloatArray
     short: BoolArray  # (N,), whether the rotor turns by SHORT_ANGLE instead of WINDOW_ANGLE
     # (N, 2), ``i_dq`` minus the measured currents, A, and ``angle`` minus the measured angle, rad, see
     # ``EffectColumns.moved``; default: 0
@@ -136,18 +118,48 @@ class Windows:
     def __len__(self) -> int:
         return len(self.time)
 
-    def part(self, selected: slice | IntArray | BoolArray) -> Windows:
+    def part(self: Own, selected: slice | IntArray | BoolArray) -> Own:
         """Return some of the windows."""
-        own = ((name, getattr(self, name)) for name in (*MEASURED, *_ADDED))
-        return Windows(**{name: x[selected] for name, x in own if x is not None})
+        return type(self)(**{name: x[selected] for name, x in vars(self).items() if x is not None})
 
-    @staticmethod
-    def joined(parts: list[Windows]) -> Windows:
+    @classmethod
+    def joined(cls: type[Own], parts: Sequence[Terms]) -> Own:
         """Concatenate windows."""
-        if len(parts) == 1:
-            return parts[0]
-        known = [name for name in (*MEASURED, *_ADDED) if all(getattr(part, name) is not None for part in parts)]
-        return Windows(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in known})
+        arrays = {field.name: [getattr(part, field.name) for part in parts] for field in fields(cls)}
+        known = {name: x for name, x in arrays.items() if all(own is not None for own in x)}
+        return cls(**{name: np.concatenate(x) if len(x) > 1 else x[0] for name, x in known.items()})
+
+    @property
+    def weights(self) -> FloatArray:
+        """Weights (N,) of the squared residuals."""
+        return np.ones(len(self)) if self.weight is None else self.weight
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Windows(Terms):
+    """Terms of the balance over N windows, with what effects and reports need."""
+
+    gaps: FloatArray  # (N,), sum of the gaps since the start of the recording, s
+    # (N, L + 1, 3), integrals of the magnitudes of the coarse shapes, s, and last of the phase currents, As
+    rectified: FloatArray
+    # (N, L, 5), int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s), j conj(i_s), 1 and j:
+    # by how much the faults of the current sensors change their integrals, s, the last two s/A
+    sensed: ComplexArray
+    # (N, 2), d i_dq / dt before [start, end], A/s, from earlier samples only: the controller responds to the noise of a
+    # sample later, so that noise and slope are independent
+    slope: ComplexArray
+    # (N, 2, len(LAGS) + 1), i_dq at [start, end], interpolated between neighbouring samples to exclude the noise of the
+    # sample itself, minus the same after first-order lags of LAGS seconds; last, the interpolated current itself, A
+    lagging: ComplexArray
+    turned: FloatArray  # (N, 2), electrical angle turned since the start of the run at [start, end], rad
+    heat: FloatArray  # (N,), int |i_s|^2 dt from the start of the recording to the start of the window, A^2 s
+    link: ComplexArray  # (N,), int u_s u_dc, V^2 s, NaN where the DC-link voltage is not known
+    loaded: ComplexArray  # (N,), int u_s p with the power p = 3/2 Re(u_s conj(i_s)) that the machine takes, V^2 A s
+    run: IntArray  # (N,), number of the gap-free run, below of the recording, and of a part of one between pauses
+    recording: IntArray
+    section: IntArray
+    # (N,), smallest absolute value of a phase current within the window, 0 where one crosses zero, A
+    clearance: FloatArray
 
     def thinned(self, most: int) -> Windows:
         """Return every k-th of the windows, at most ``most``."""
@@ -168,11 +180,6 @@ class Windows:
         i_dq: ComplexArray = self.i_dq[..., 0] + 1j * self.i_dq[..., 1]
         return i_dq if self.moved is None else i_dq - self.moved
 
-    @property
-    def weights(self) -> FloatArray:
-        """Weights (N,) of the squared residuals."""
-        return np.ones(len(self)) if self.weight is None else self.weight
-
 
 _ADDED = ("moved", "righted", "effects", "weight")
 MEASURED = tuple(field.name for field in fields(Windows) if field.name not in _ADDED)
@@ -184,13 +191,15 @@ class _Stretch:
     """Samples without a gap, with the quantities computed once per sample."""
 
     i_abc: FloatArray
+    before: FloatArray  # currents of the sample before, turned with the rotor
     i_s: ComplexArray
     u_s: ComplexArray
     i_dq: ComplexArray
     angle: FloatArray
     idle: BoolArray
-    turned: FloatArray
-    heat: FloatArray
+    path: FloatArray  # (N, 2), angle turned and heat
+    sums: ComplexArray  # (N, 4), integrals that are ``voltage``, ``current``, ``crossing`` and ``loaded`` of windows
+    least: FloatArray  # (N, 2), smallest absolute phase current, and the same, but 0 where one has crossed zero
     lagged: ComplexArray  # i_dq after each of LAGS
     link: FloatArray  # DC-link voltage, NaN where unknown
     winding: FloatArray  # temperature, degrees Celsius, NaN where unknown
@@ -198,6 +207,10 @@ class _Stretch:
 
     def __len__(self) -> int:
         return len(self.angle)
+
+    @property
+    def turned(self) -> FloatArray:
+        return self.path[:, 0]
 
     def part(self, selected: slice) -> _Stretch:
         return _Stretch(*(getattr(self, field.name)[selected] for field in fields(self)))
@@ -214,18 +227,19 @@ class WindowCutter:
     ----------
     shapes : CapacitiveShapes
         Of the inverter.
-    short : float, optional
-        Cut short windows as well, from the same beginnings: those without a zero crossing of a phase current, those
-        at small current, and a quarter of the others. They begin in one of :attr:`short_every` intervals of so many s,
-        see :func:`kept_of`.
+    segment : float, optional
+        Interval of time, s, of which one in :attr:`every` is kept, see :func:`kept_of`: of the others, only
+        :class:`Terms` are cut. In those kept, cut short windows as well, from the same beginnings: those without a zero
+        crossing of a phase current, those at small current, and a quarter of the others.
     """
 
-    def __init__(self, shapes: CapacitiveShapes, short: float | None = None) -> None:
-        self._shapes, self._short = shapes, short
-        self.short_every = 1
+    def __init__(self, shapes: CapacitiveShapes, segment: float | None = None) -> None:
+        self._shapes, self._segment = shapes, segment
+        self.every = 1
         self._heating, self._drop_scale = 0.0, 1.0
-        self._turned = self._heat = 0.0  # up to the last sample, rad and A^2 s
-        self._lagged = np.zeros(len(LAGS), np.complex128)  # at the last sample, A
+        self._path = np.zeros(2)  # at the last sample, rad and A^2 s, as what follows
+        self._sums = np.zeros(4, np.complex128)  # Vs, As, s and V^2 A s
+        self._lagged = np.zeros(len(LAGS), np.complex128)  # A
         self._run, self._recording, self._section = -1, 0, -1
         self._paused = -np.inf  # since when, ns; infinite before a recording
         self._gaps = 0.0  # s
@@ -248,10 +262,11 @@ class WindowCutter:
 
         Default of these: those that were cut last.
         """
-        self._time, self._recording, self._heat, self._paused, self._gaps = time, recording, 0.0, -np.inf, 0.0
+        self._time, self._recording, self._paused, self._gaps = time, recording, -np.inf, 0.0
+        self._path = self._path * [1.0, 0.0]
         self._run, self._section = last or (self._run, self._section)
 
-    def cut(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> Iterator[Windows]:
+    def cut(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> Iterator[Terms]:
         """Yield the windows of further samples; the last ones follow with :meth:`finish`.
 
         Parameters
@@ -294,9 +309,8 @@ class WindowCutter:
                 first = max(int(begin[0] + _PAST[0]) // grain - 1, 0) * grain
                 self._time = first * self._period
                 part = stretch.part(slice(first, int(begin[-1]) + length + _REACH + 1))
-                sums, short = _Sums.over(part, self._period, self._shapes.coarse), np.zeros(len(begin), np.bool_)
-                windows = self._windows(part, sums, begin - first, begin - first + length, short)
-                yield run.start + int(begin[0]), windows
+                shapes = self._integrated(part)
+                yield run.start + int(begin[0]), self._windows(part, shapes, begin - first, begin - first + length)
 
     def _begin(self, stamp: float) -> None:
         self._run += 1
@@ -306,43 +320,44 @@ class WindowCutter:
 
     def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
         """Return the new samples of a run with the quantities integrated over them."""
-        i_abc, count = samples.i_abc[run], run.stop - run.start
-        i_s, u_s, i_dq = (np.empty((count, 2)) for _ in range(3))
-        lagged = np.empty((count, len(LAGS), 2))
-        weights = np.stack(_lag_weights(samples.sample_period))
+        count, lags = run.stop - run.start, len(LAGS)
+        i_abc, before, i_s, u_s, i_dq, path, least = (np.empty((count, width)) for width in (3, 3, 2, 2, 2, 2, 2))
+        lagged, sums = np.empty((count, lags), np.complex128), np.zeros((count, 4), np.complex128)
+        path[0] = self._path if continues else self._path * [0.0, 1.0]
         if continues:
-            lagged[0] = self._lagged.view(np.float64).reshape(-1, 2)
-        _follow(i_abc, samples.u_abc[run], samples.angle[run], weights, not continues, i_s, u_s, i_dq, lagged)
-        a, b, c = np.square(i_abc[1:].T)
-        steps = frames.wrapped(np.diff(samples.angle[run]))
-        turned = np.cumsum(np.append(self._turned if continues else 0.0, steps))
-        heat = np.cumsum(np.append(self._heat, 2 * THIRD * (a + b + c) * samples.sample_period))
-        lags = _complex(lagged)
-        self._turned, self._heat, self._lagged = float(turned[-1]), float(heat[-1]), lags[-1].copy()
+            lagged[0], sums[0] = self._lagged, self._sums
+        _follow(
+            samples.i_abc[run], samples.u_abc[run], samples.angle[run], samples.sample_period, frames.as_pairs(_AXES),
+            np.stack(_lag_weights(samples.sample_period)), not continues, i_abc, before, i_s, u_s, i_dq,
+            lagged.view(np.float64).reshape(count, lags, 2), sums.view(np.float64), path, least,
+        )  # fmt: skip
+        self._path, self._sums, self._lagged = path[-1].copy(), sums[-1].copy(), lagged[-1].copy()
         new, later = slice(run.start + continues, run.stop), slice(int(continues), None)
-        return _Stretch(  # currents without their sum: they shift the zero crossings as those of two sensors do
-            i_abc=np.ascontiguousarray(frames.phases(_complex(i_s)[later])),
+        return _Stretch(
+            i_abc=i_abc[later],
+            before=before[later],
             i_s=_complex(i_s)[later],
             u_s=_complex(u_s)[later],
             i_dq=_complex(i_dq)[later],
             angle=samples.angle[new],
             idle=idle[new],
-            turned=turned[later],
-            heat=heat[later],
-            lagged=lags[later],
+            path=path[later],
+            sums=sums[later],
+            least=least[later],
+            lagged=lagged[later],
             link=samples.or_unknown("dc_link_voltage")[new],
             winding=samples.or_unknown("winding_temperature")[new],
             magnet=samples.or_unknown("magnet_temperature")[new],
         )
 
-    def finish(self) -> Iterator[Windows]:
+    def finish(self) -> Iterator[Terms]:
         """Yield the last windows of a run."""
         if self._rest is not None:
             yield from self._cut(self._rest)
             self._time += len(self._rest) * self._period
             self._rest = None
 
-    def _cut(self, stretch: _Stretch) -> Iterator[Windows]:
+    def _cut(self, stretch: _Stretch) -> Iterator[Terms]:
         """Yield the windows that end within ``stretch``, the beginning of the rest; drop samples no longer needed."""
         assert self._rest is not None  # for the type checker
         begin, length = self._places(stretch)
@@ -352,11 +367,13 @@ class WindowCutter:
         moving = ~(stretch.idle[begin_used] & stretch.idle[end_used])
         if moving.any():
             begin_used, end_used = begin_used[moving], end_used[moving]
-            whole, sums = len(begin_used), _Sums.over(stretch, self._period, self._shapes.coarse)
-            if self._short is not None:
-                wanted = kept_of(interval(self._time + self._period * begin_used, self._short), self.short_every)
-                begin_used, end_used = self._with_short(stretch, sums, begin_used, end_used, wanted)
-            yield self._windows(stretch, sums, begin_used, end_used, np.arange(len(begin_used)) >= whole)
+            shapes = self._integrated(stretch)
+            kept = np.ones(len(begin_used), np.bool_)
+            if self._segment is not None:
+                kept = kept_of(interval(self._time + self._period * begin_used, self._segment), self.every)
+            for part in np.split(np.arange(len(kept)), np.flatnonzero(np.diff(kept)) + 1):
+                terms = self._windows if kept[part[0]] else self._terms
+                yield terms(stretch, shapes, begin_used[part], end_used[part])
         self._number += count
         grain = spacing(self._period)
         past = max(0, int(begin[count]) - grain * -(_PAST[0] // grain)) if count < len(begin) else 0
@@ -387,69 +404,81 @@ class WindowCutter:
         """Samples from one to the next over which the way of rotor and current is taken."""
         return max(1, round(_WAY_STEP / self._period))
 
-    def _with_short(
-        self, stretch: _Stretch, sums: _Sums, begin: IntArray, end: IntArray, wanted: BoolArray
-    ) -> tuple[IntArray, IntArray]:
-        """Append the places of the short windows among the wanted ones."""
-        grain, places = spacing(self._period), (begin, end)
-        begin, end = begin[wanted], end[wanted]
+    def _integrated(self, stretch: _Stretch) -> tuple[FloatArray, FloatArray]:
+        """Integrate all shapes (G, S, 3), and coarse ones of the currents before (G, L, 3), up to each possible end."""
+        period, grain = self._period, spacing(self._period)
+        coarse = self._shapes.coarse.integrals(stretch.before[::grain], period * grain)
+        return self._shapes.integrals(stretch.i_abc[::grain], period * grain), coarse
+
+    def _with_short(self, stretch: _Stretch, begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
+        """Append the places of the short windows."""
+        grain = spacing(self._period)
         turns = np.rint((end - begin) * (SHORT_ANGLE / WINDOW_ANGLE) / grain).astype(np.int64)
         sooner = begin + grain * np.maximum(turns, 1)
         current = np.maximum(np.abs(stretch.i_s[begin]), np.abs(stretch.i_s[sooner]))
         scales = self._shapes.scales
-        useful = (sums.clearance(begin, sooner) > scales[1]) | (current < scales[self._shapes.usual - 1])
+        useful = (_clearance(stretch, begin, sooner) > scales[1]) | (current < scales[self._shapes.usual - 1])
         useful |= (self._origin + begin) // grain % _SOME == 0
-        return np.append(places[0], begin[useful]), np.append(places[1], sooner[useful])
+        return np.append(begin, begin[useful]), np.append(end, sooner[useful])
 
-    def _windows(self, stretch: _Stretch, sums: _Sums, begin: IntArray, end: IntArray, short: BoolArray) -> Windows:
-        period, grain = self._period, spacing(self._period)
-        u_s, i_dq = stretch.u_s, stretch.i_dq
-        shape = self._shapes.integrals(stretch.i_abc[::grain], period * grain)
-        rectified = self._rectified(stretch, shape)
+    def _terms(self, stretch: _Stretch, shapes: tuple[FloatArray, FloatArray], begin: IntArray, end: IntArray) -> Terms:
+        period, grain, u_s = self._period, spacing(self._period), stretch.u_s
         ends = np.stack([begin, end], axis=1)
-        slope = i_dq[ends[..., None] + _PAST] @ (_LINE / period)
-        now = i_dq[ends[..., None] + _BESIDE] @ _CUBIC
-        decay, by_last, by_now = _lag_weights(period)
-        lagged = decay * stretch.lagged[ends - 1] + by_last * i_dq[ends - 1, None] + by_now * now[..., None]
-        speed = stretch.turned[ends[..., None] + _NEAR] @ _NEAR / (period * np.sum(_NEAR**2))
+        shape, before = (x[end // grain] - x[begin // grain] for x in shapes)
+        voltage, current, crossing, _ = (stretch.sums[end] - stretch.sums[begin]).T
         winding, magnet = (x[begin] - REFERENCE_TEMPERATURE for x in (stretch.winding, stretch.magnet))
         heating = np.where(np.isnan(winding), self._heating, winding)
-        return Windows(
+        return Terms(
             time=self._time + period * begin.astype(np.float64),
-            gaps=np.full(len(begin), self._gaps),
-            i_dq=frames.as_pairs(i_dq[ends]),
+            i_dq=frames.as_pairs(stretch.i_dq[ends]),
             angle=stretch.angle[ends],
-            voltage=sums.voltage[end] - sums.voltage[begin],
-            current=sums.current[end] - sums.current[begin],
+            voltage=voltage,
+            current=current,
             duration=period * (end - begin).astype(np.float64),
-            shifted=np.stack([period * (u_s[end + shift] - u_s[begin + shift]) for shift in SHIFTS], axis=1),
-            shape=shape[end // grain] - shape[begin // grain],
-            rectified=rectified[end // grain] - rectified[begin // grain],
-            lag=self._lag(stretch, shape, begin // grain, end // grain),
-            crossing=sums.crossing[end] - sums.crossing[begin],
-            sensed=sums.sensed[end] - sums.sensed[begin],
+            shifted=period * (u_s[end[:, None] + SHIFTS] - u_s[begin[:, None] + SHIFTS]),
+            shape=shape,
+            lag=frames.space_vector(self._shapes.coarse_of(shape) - before),
+            crossing=crossing,
             heating=heating,
             magnet_heating=np.where(np.isnan(magnet), heating, magnet),
             drop_scale=np.full(len(begin), self._drop_scale),
             period=np.full(len(begin), period),
             held=u_s[ends - 1],
-            slope=slope,
+            speed=stretch.turned[ends[..., None] + _NEAR] @ _NEAR / (period * np.sum(_NEAR**2)),
+            short=np.zeros(len(begin), np.bool_),
+        )
+
+    def _windows(
+        self, stretch: _Stretch, shapes: tuple[FloatArray, FloatArray], begin: IntArray, end: IntArray
+    ) -> Windows:
+        """Return these windows and, where segments are kept, short ones behind them."""
+        period, grain, whole, i_dq = self._period, spacing(self._period), len(begin), stretch.i_dq
+        if self._segment is not None:
+            begin, end = self._with_short(stretch, begin, end)
+        ends = np.stack([begin, end], axis=1)
+        now = i_dq[ends[..., None] + _BESIDE] @ _CUBIC
+        decay, by_last, by_now = _lag_weights(period)
+        lagged = decay * stretch.lagged[ends - 1] + by_last * i_dq[ends - 1, None] + by_now * now[..., None]
+        first, last = int(begin.min()) // grain * grain, int(end.max()) + 1
+        near, (one, other) = stretch.part(slice(first, last)), (ends - first).T
+        rectified = self._rectified(near, shapes[0][first // grain : (last - 1) // grain + 1])
+        sensed = _sensed(near.i_abc, near.i_s, period, self._shapes.coarse.scales)
+        return Windows(
+            **vars(self._terms(stretch, shapes, begin, end)) | {"short": np.arange(len(begin)) >= whole},
+            gaps=np.full(len(begin), self._gaps),
+            rectified=rectified[other // grain] - rectified[one // grain],
+            sensed=sensed[other] - sensed[one],
+            slope=i_dq[ends[..., None] + _PAST] @ (_LINE / period),
             lagging=np.concatenate([now[..., None] - lagged, now[..., None]], axis=-1),
-            speed=speed,
             turned=stretch.turned[ends],
-            heat=stretch.heat[begin],
-            link=_link(stretch, period, begin, end),
-            loaded=sums.loaded[end] - sums.loaded[begin],
+            heat=stretch.path[begin, 1],
+            link=_link(near, period, one, other),
+            loaded=stretch.sums[end, 3] - stretch.sums[begin, 3],
             run=np.full(len(begin), self._run),
             recording=np.full(len(begin), self._recording),
             section=np.full(len(begin), self._section),
-            clearance=sums.clearance(begin, end),
-            short=short,
+            clearance=_clearance(stretch, begin, end),
         )
-
-    def _coarse(self, shape: FloatArray) -> FloatArray:
-        """Return those of the coarse shapes (G, L, 3) among the integrals of all (G, S, 3)."""
-        return shape[:, : self._shapes.usual : 2]
 
     def _rectified(self, stretch: _Stretch, shape: FloatArray) -> FloatArray:
         """Return the integrals (G, L + 1, 3), see :class:`Windows`, from those of all shapes (G, S, 3).
@@ -459,113 +488,110 @@ class WindowCutter:
         grain = spacing(self._period)
         current = stretch.i_abc[::grain]
         charge = 0.5 * self._period * grain * (current[1:] + current[:-1])
-        steps = np.concatenate([np.diff(self._coarse(shape), axis=0), charge[:, None]], axis=1)
+        steps = np.concatenate([np.diff(self._shapes.coarse_of(shape), axis=0), charge[:, None]], axis=1)
         return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(np.abs(steps), axis=0)])
-
-    def _lag(self, stretch: _Stretch, shape: FloatArray, begin: IntArray, end: IntArray) -> ComplexArray:
-        """Return the integrals (N, L), see :class:`Windows`, from those of all shapes (G, S, 3), ends in grains."""
-        grain, angle = spacing(self._period), stretch.angle
-        places = np.arange(0, len(angle), grain)
-        earlier = np.maximum(places - 1, 0)
-        before = stretch.i_s[earlier] * np.exp(1j * (angle[places] - angle[earlier]))
-        then = self._shapes.coarse.integrals(frames.phases(before), self._period * grain)
-        now = self._coarse(shape)
-        return frames.space_vector((now[end] - now[begin]) - (then[end] - then[begin]))
-
-
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Integrals (N,) over a stretch from its first sample on, and how far its phase currents are from zero.
-
-    ``least`` is the smallest absolute phase current of a sample, A, ``until`` the same up to the next sample: 0 where a
-    phase crosses zero.
-
-    If the drop steps from -D to D at a zero crossing that is t T earlier than linear interpolation between two samples
-    predicts, its integral increases by ``2 D t T``. The current has a kink at the step and the shapes round its corner,
-    so t is a few hundredths and about the same at all crossings. Each adds the vector of its phase, positive for a
-    rising current, times 2/3 of the sample period to ``crossing``.
-    """
-
-    voltage: ComplexArray
-    current: ComplexArray
-    loaded: ComplexArray
-    crossing: ComplexArray
-    sensed: ComplexArray
-    least: FloatArray
-    until: FloatArray
-
-    @classmethod
-    def over(cls, stretch: _Stretch, period: float, shapes: CapacitiveShapes) -> _Sums:
-        i_abc, u_s = stretch.i_abc, stretch.u_s[:-1]
-        i_s = 0.5 * (stretch.i_s[:-1] + stretch.i_s[1:])  # mean over each sample
-        power = 1.5 * (u_s.real * i_s.real + u_s.imag * i_s.imag)
-        rising = np.where(i_abc[:-1] * i_abc[1:] < 0.0, np.sign(i_abc[1:]), 0.0)
-        least, negative = np.abs(i_abc).min(axis=1), i_abc < 0.0
-        crossed = (negative[:-1] != negative[1:]).any(axis=1)
-        return cls(
-            voltage=_summed(period * u_s),
-            current=_summed(period * i_s),
-            loaded=_summed(period * power * u_s),
-            crossing=_summed(period * frames.space_vector(rising)),
-            sensed=_sensed(i_abc, stretch.i_s, period, shapes.scales),
-            least=least,
-            until=np.append(np.where(crossed, 0.0, least[:-1]), least[-1]),
-        )
-
-    def clearance(self, begin: IntArray, end: IntArray) -> FloatArray:
-        """Return the smallest absolute value (N,) of a phase current from ``begin`` to ``end``, 0 if one crosses."""
-        within = np.minimum.reduceat(self.until, np.stack([begin, end], axis=1).ravel())[::2]
-        return np.asarray(np.minimum(within, self.least[end]))
 
 
 @compiled(
-    "const f8[:, ::1], const f8[:, ::1], const f8[::1], const f8[:, ::1], b1, f8[:, ::1], f8[:, ::1], f8[:, ::1], "
-    "f8[:, :, ::1]"
+    "const f8[:, ::1], const f8[:, ::1], const f8[::1], f8, const f8[:, ::1], const f8[:, ::1], b1, f8[:, ::1], "
+    "f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1]"
 )
 def _follow(
-    i_abc: FloatArray,
+    measured: FloatArray,
     u_abc: FloatArray,
     angle: FloatArray,
+    period: float,
+    axes: FloatArray,
     weights: FloatArray,
     first: bool,
+    i_abc: FloatArray,
+    before: FloatArray,
     i_s: FloatArray,
     u_s: FloatArray,
     i_dq: FloatArray,
     lagged: FloatArray,
+    sums: FloatArray,
+    path: FloatArray,
+    least: FloatArray,
 ) -> None:
-    """Compute the space vectors of a run and the lagging currents in one pass.
+    """Compute in one pass what windows need of the samples of a run; the first of ``sums`` and ``path`` are given.
+
+    If the drop steps from -D to D at a zero crossing that is t T earlier than linear interpolation between two samples
+    predicts, its integral increases by ``2 D t T``. The current has a kink at the step and the shapes round its corner,
+    so t is a few hundredths and about the same at all crossings. Each adds the vector of its phase, positive for a
+    rising current, times 2/3 of the sample period to the third of the sums.
 
     Parameters
     ----------
-    i_abc, u_abc : (N, 3) float
+    measured, u_abc : (N, 3) float
         A, V.
     angle : (N,) float
         rad.
+    period : float
+        s.
+    axes : (3, 2) float
+        Vectors of the phases.
     weights : (3, L) float
         Weights of the last lagging, the last and the present current, see :func:`_lag_weights`.
     first : bool
         Whether a run begins: lagging currents then start at the current itself; otherwise they are given.
+    i_abc, before : (N, 3) float
+        Output: currents without their sum, which shift the zero crossings as those of two sensors do, and the same of
+        the sample before, turned with the rotor.
     i_s, u_s, i_dq : (N, 2) float
         Output: current and voltage in the stator frame, current in the rotor frame.
     lagged : (N, L, 2) float
         Output: i_dq after the lags.
+    sums : (N, 8) float
+        Output: see :class:`_Stretch`, as ``path`` and ``least``.
+    path, least : (N, 2) float
     """
     for k in range(len(angle)):
-        a, b, c = i_abc[k, 0], i_abc[k, 1], i_abc[k, 2]
-        i_s[k, 0], i_s[k, 1] = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD
+        a, b, c = u_abc[k, 0], u_abc[k, 1], u_abc[k, 2]
+        u_s[k, 0], u_s[k, 1] = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD
+        a, b, c = measured[k, 0], measured[k, 1], measured[k, 2]
+        i_s[k, 0], i_s[k, 1], zero = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD, (a + b + c) * THIRD
+        i_abc[k, 0], i_abc[k, 1], i_abc[k, 2] = a - zero, b - zero, c - zero
         cosine, sine = math.cos(angle[k]), math.sin(angle[k])
         i_dq[k, 0] = i_s[k, 0] * cosine + i_s[k, 1] * sine
         i_dq[k, 1] = i_s[k, 1] * cosine - i_s[k, 0] * sine
-        a, b, c = u_abc[k, 0], u_abc[k, 1], u_abc[k, 2]
-        u_s[k, 0], u_s[k, 1] = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD
+        last = max(k - 1, 0)
+        x = i_dq[last, 0] * cosine - i_dq[last, 1] * sine
+        y = (i_dq[last, 0] * sine + i_dq[last, 1] * cosine) * 1.5 * ROOT_THIRD
+        before[k, 0], before[k, 1], before[k, 2] = x, y - 0.5 * x, -y - 0.5 * x
+        least[k, 0] = least[k, 1] = min(abs(i_abc[k, 0]), abs(i_abc[k, 1]), abs(i_abc[k, 2]))
+        if k == 0:
+            continue
+        step = (angle[k] - angle[last]) / (2.0 * math.pi)
+        path[k, 0] = path[last, 0] + 2.0 * math.pi * (step - np.rint(step))
+        path[k, 1] = path[last, 1] + 2.0 * THIRD * period * (a * a + b * b + c * c)
+        x, y = 0.5 * period * (i_s[last, 0] + i_s[k, 0]), 0.5 * period * (i_s[last, 1] + i_s[k, 1])
+        energy = 1.5 * (u_s[last, 0] * x + u_s[last, 1] * y)
+        sums[k, 4], sums[k, 5] = sums[last, 4], sums[last, 5]
+        for phase in range(3):
+            if (i_abc[last, phase] < 0.0) != (i_abc[k, phase] < 0.0):
+                least[k, 1] = 0.0
+                if i_abc[last, phase] * i_abc[k, phase] < 0.0:
+                    rise = math.copysign(2.0 * THIRD * period, i_abc[k, phase])
+                    sums[k, 4] += rise * axes[phase, 0]
+                    sums[k, 5] += rise * axes[phase, 1]
+        sums[k, 0], sums[k, 1] = sums[last, 0] + period * u_s[last, 0], sums[last, 1] + period * u_s[last, 1]
+        sums[k, 2], sums[k, 3] = sums[last, 2] + x, sums[last, 3] + y
+        sums[k, 6], sums[k, 7] = sums[last, 6] + energy * u_s[last, 0], sums[last, 7] + energy * u_s[last, 1]
     for lag in range(weights.shape[1]):
-        decay, before, now = weights[0, lag], weights[1, lag], weights[2, lag]
+        decay, by_last, by_now = weights[0, lag], weights[1, lag], weights[2, lag]
         for axis in range(2):
             if first:
                 lagged[0, lag, axis] = i_dq[0, axis]
             for k in range(1, len(angle)):
-                driven = now * i_dq[k, axis] + before * i_dq[k - 1, axis]
+                driven = by_now * i_dq[k, axis] + by_last * i_dq[k - 1, axis]
                 lagged[k, lag, axis] = driven + decay * lagged[k - 1, lag, axis]
+
+
+def _clearance(stretch: _Stretch, begin: IntArray, end: IntArray) -> FloatArray:
+    """Return the smallest absolute value (N,) of a phase current from ``begin`` to ``end``, 0 if one crosses zero."""
+    within = np.minimum.reduceat(stretch.least[:, 1], np.stack([begin + 1, end + 1], axis=1).ravel())[::2]
+    return np.asarray(np.minimum(within, stretch.least[begin, 0]))
 
 
 def _sensed(i_abc: FloatArray, i_s: ComplexArray, period: float, scales: FloatArray) -> ComplexArray:
@@ -620,11 +646,6 @@ def kept_of(number: IntArray, every: int) -> BoolArray:
     return np.asarray(np.square(number, dtype=np.float64) * _GOLDEN % 1.0 < 1.0 / every)
 
 
-def _summed(steps: FloatArray | ComplexArray) -> ComplexArray:
-    """Return the sums (N,), from the first sample on, of what follows each sample but the last one (N - 1,)."""
-    return np.cumsum(np.append(0j, steps), dtype=np.complex128)
-
-
 def _complex(pairs: FloatArray) -> ComplexArray:
     """Return real and imaginary parts (..., 2) as complex numbers (...), without a copy."""
     return pairs.view(np.complex128)[..., 0]
@@ -646,7 +667,7 @@ def _length_of_way(x: FloatArray | ComplexArray, way: float, begin: IntArray, st
 def _link(stretch: _Stretch, period: float, begin: IntArray, end: IntArray) -> ComplexArray:
     """Return int u_s u_dc (N,), V^2 s, NaN where the DC-link voltage is not known."""
     unknown = np.cumsum(np.append(0, np.isnan(stretch.link)[:-1]))
-    link = period * _summed((stretch.u_s * np.nan_to_num(stretch.link))[:-1])
+    link = period * np.cumsum(np.append(0j, (stretch.u_s * np.nan_to_num(stretch.link))[:-1]))
     return np.where(unknown[end] == unknown[begin], link[end] - link[begin], np.nan)
 
 

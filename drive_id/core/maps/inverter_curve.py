@@ -66,6 +66,10 @@ class CapacitiveShapes:
         """Every second of the usual curves: enough for effects that are small beside the drop."""
         return CapacitiveShapes(self.scales[: self.usual : 2])
 
+    def coarse_of(self, values: FloatArray) -> FloatArray:
+        """Return those of the coarse curves (G, L, 3) among values of all (G, S, 3)."""
+        return values[:, : self.usual : 2]
+
     def __call__(self, i: FloatArray) -> FloatArray:
         """Return the curves (..., S) at phase currents (...), A."""
         x = np.asarray(i)[..., None] / self.scales

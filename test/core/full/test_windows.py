@@ -18,8 +18,11 @@ from drive_id.core.full.windows import (
     STRIDE,
     WINDOW_ANGLE,
     WINDOW_CURRENT,
+    Terms,
     WindowCutter,
     Windows,
+    interval,
+    kept_of,
 )
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.types import Samples
@@ -100,7 +103,18 @@ def test_one_pass_follows_the_samples(continues):
     turned = np.unwrap(part.angle)
     np.testing.assert_allclose(stretch.turned, (turned - turned[0])[new], atol=1e-11)
     heat = 2 / 3 * period * np.cumsum(np.sum(part.i_abc**2, axis=1) * (np.arange(len(part)) > 0))
-    np.testing.assert_allclose(stretch.heat, heat[new], rtol=1e-12)
+    np.testing.assert_allclose(stretch.path[:, 1], heat[new], rtol=1e-12)
+    balanced, u_s = part.i_abc - part.i_abc.mean(axis=1, keepdims=True), frames.space_vector(part.u_abc)[:-1]
+    before = np.append(i_s[0], i_dq[:-1] * np.exp(1j * part.angle[1:]))
+    np.testing.assert_allclose(stretch.i_abc, balanced[new], atol=1e-11)
+    np.testing.assert_allclose(stretch.before, frames.phases(before)[new], atol=1e-11)
+    mean, crossed = 0.5 * (i_s[:-1] + i_s[1:]), np.diff(np.sign(balanced), axis=0) / 2
+    steps = np.stack([u_s, mean, frames.space_vector(crossed), 1.5 * (u_s * mean.conj()).real * u_s], axis=1)
+    sums = period * np.cumsum(np.append(np.zeros((1, 4)), steps, axis=0), axis=0)
+    np.testing.assert_allclose(stretch.sums, sums[new], rtol=1e-9, atol=1e-12)
+    least = np.abs(balanced).min(axis=1)
+    since = np.append(least[0], np.where(crossed.any(axis=1), 0.0, least[1:]))
+    np.testing.assert_allclose(stretch.least, np.stack([least, since], axis=1)[new], atol=1e-12)
     for k, lag in enumerate(LAGS):  # a first-order lag of a current that is linear between the samples
         decay = np.exp(-period / lag)
         now = 1 - (1 - decay) * lag / period
@@ -131,6 +145,23 @@ def test_pieces_make_no_difference(samples, size):
     whole, parts = cut(samples), cut(*pieces, continues=set(range(1, len(pieces))))
     for name in NAMES:
         np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("period", [1e-4, 1e-5])
+def test_of_segments_that_are_not_kept_only_terms_are_cut(period):
+    recording = record(duration=1.6, noise=0.5, period=period)
+    cutter, whole = WindowCutter(SHAPES, segment=0.25), cut(recording)
+    cutter.every = 2
+    parts = [*cutter.cut(recording), *cutter.finish()]
+    terms, windows = Terms.joined(parts), Windows.joined([part for part in parts if isinstance(part, Windows)])
+    kept = kept_of(interval(whole.time, 0.25), 2)
+    assert 0.2 < kept.mean() < 0.8
+    names = [field.name for field in dataclasses.fields(Terms) if field.name in NAMES]
+    for found, own, expected in ((terms, names, whole), (windows, NAMES, whole.part(kept))):
+        for name in own:
+            x = getattr(found, name)[~found.short]
+            np.testing.assert_allclose(x, getattr(expected, name), rtol=1e-9, atol=1e-11, err_msg=name)
+    assert windows.short.sum() == terms.short.sum() > 0
 
 
 @pytest.mark.parametrize("period", [1e-4, 1e-5])
@@ -216,7 +247,7 @@ def test_windows_at_rest_are_left_out_whatever_the_pieces(samples):
     used = ~(idle[begin] & idle[end])
     assert 0.4 < used.mean() < 0.8
     for name in NAMES:
-        np.testing.assert_array_equal(getattr(moving, name), getattr(every, name)[used])
+        np.testing.assert_allclose(getattr(moving, name), getattr(every, name)[used], rtol=1e-9, atol=1e-12)
     cutter = WindowCutter(SHAPES)
     pieces = [*cutter.cut(between(samples, 0, 5001), idle[:5001])]
     pieces += [*cutter.cut(between(samples, 5000, len(samples)), idle[5000:], continues=True), *cutter.finish()]

@@ -56,7 +56,7 @@ def good_fit(good):
 
 
 def test_short_windows_share_the_beginning_and_keep_clear_of_zero(good):
-    windows = Windows.joined(list(WindowCutter(SHAPES, short=0.25).cut(good)))
+    windows = Windows.joined(list(WindowCutter(SHAPES, segment=0.25).cut(good)))
     long, short = windows.part(~windows.short), windows.part(windows.short)
     alone = Windows.joined(list(WindowCutter(SHAPES).cut(good)))
     np.testing.assert_array_equal(long.i_dq, alone.i_dq)

@@ -353,7 +353,7 @@ class Solver:
         if self._effects is not None:
             beside[:, effects] = self.total[:, effects] - self._effects[without]
             beside[effects] = beside[others, effects].T
-        normal = np.empty((t.shape[1] + room,) * 2)
+        normal = np.zeros((t.shape[1] + room,) * 2)  # not empty: what is below the diagonal is subtracted, too
         normal_of_difference(t, self.total, triangle, normal[: t.shape[1], : t.shape[1]])
         return normal, beside
 

@@ -66,7 +66,7 @@ def test_a_large_offset_is_proposed_once(good):
     turned = replace(good, i_abc=good.i_abc[:, [1, 2, 0]], u_abc=good.u_abc[:, [1, 2, 0]])
     for samples, degrees in ((replace(good, angle=good.angle + np.pi), 180), (turned, -120)):
         said = told(samples)
-        found = re.search(r"d axis lies ([+-]\d+) degrees electrical from that of the angle given. Add", said)
+        found = re.search(r"d axis lies ([+-]\d+) degrees electrical from that of the given angle. Add", said)
         assert abs(np.exp(1j * np.deg2rad(float(found[1]) - degrees)) - 1) < 0.05
         assert "mirror symmetry" not in said
         assert "magnet's flux is negative" not in said

@@ -195,7 +195,7 @@ def test_duty_cycles_are_cut_where_the_dc_link_voltage_is_unknown(streamed):
     assert samples.run_starts.tolist() == [0, 800]
     np.testing.assert_allclose(samples.u_abc, signals[1].values[kept] * samples.dc_link_voltage[:, None], rtol=1e-12)
     assert samples.dc_link_voltage[200] == 500.0
-    assert "500 samples were cut out, for their voltages are duty cycles" in report.warnings[-1]
+    assert "500 samples were cut out, because their voltages are duty cycles" in report.warnings[-1]
     assert report.samples == 1500
 
 

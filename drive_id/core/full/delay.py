@@ -10,7 +10,7 @@ import numpy as np
 from drive_id.core.full.model import PENALTIES
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products
 from drive_id.core.full.window_sums import SEGMENT
-from drive_id.core.full.windows import MOST_DELAY, Windows
+from drive_id.core.full.windows import DECIMATED, MOST_DELAY, Windows
 from drive_id.types import TINY, FloatArray
 
 _SPEEDS_APART = 0.1
@@ -78,7 +78,7 @@ class Delay:
     @property
     def decimation(self) -> float:
         """The n of a log with every n-th sample only, which gives a delay of -(n - 1) / 2n; 0 for other delays."""
-        return 1 / (1 + 2 * self.value) if -1 / 2 < self.value < -1 / 4 + _PHYSICAL else 0.0
+        return 1 / (1 + 2 * self.value) if DECIMATED < self.value < -1 / 4 + _PHYSICAL else 0.0
 
     @property
     def tolerance(self) -> float:

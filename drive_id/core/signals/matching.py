@@ -22,16 +22,17 @@ def nearest(clock: IntArray, stamp: IntArray) -> IntArray:
     return closer
 
 
-@compiled("const i8[::1], const i8[::1], i8, i8[::1]")
-def _walk(clock: IntArray, stamp: IntArray, offset: int, index: IntArray) -> None:
-    """Write where :func:`nearest` finds the partners of an increasing clock (N,), shifted by ``offset`` ns, (N,)."""
-    right, last = 0, len(stamp) - 1
+@compiled("const i8[::1], const i8[::1], i8")
+def _walk(clock: IntArray, stamp: IntArray, offset: int) -> IntArray:
+    """Return what :func:`nearest` does (N,), for an increasing clock (N,) that is shifted by ``offset`` ns."""
+    index, right, last = np.empty(len(clock), np.int64), 0, len(stamp) - 1
     for k in range(len(clock)):
         wanted = clock[k] + offset
         while right < last and stamp[right] < wanted:
             right += 1
         left = max(right - 1, 0)
         index[k] = left if abs(stamp[left] - wanted) <= abs(stamp[right] - wanted) else right
+    return index
 
 
 @dataclass(frozen=True)
@@ -46,9 +47,7 @@ class Phase:
         """Measure the phase of ``stamp`` (M,), increasing, on ``clock`` (N,), ns, of period ``step``, ns."""
         if not len(clock) or not len(stamp):
             return cls()
-        index = np.empty(len(clock), np.int64)
-        _walk(clock, stamp, 0, index)
-        away = stamp[index] - clock
+        away = stamp[_walk(clock, stamp, 0)] - clock
         away = away[np.abs(away) <= step]
         same = len(away) > 1 and away.min() == away.max()
         directions = np.exp(2j * np.pi * (away[:1] if same else away) / step)
@@ -101,8 +100,7 @@ def partners(
     """
     if not len(clock) or not len(stamp):
         return np.zeros(len(clock), np.int64), np.zeros(len(clock), np.bool_)
-    index = np.empty(len(clock), np.int64)
-    _walk(clock, stamp, offset, index)
+    index = _walk(clock, stamp, offset)
     found = np.abs(stamp[index] - clock - offset) <= 0.5 * step
     candidates = np.flatnonzero(found)
     found[candidates[1:][np.diff(index[candidates]) == 0]] = False

@@ -8,8 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores: more threads of BLAS only wait
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is loaded
+if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores: more threads of a fit or of BLAS only wait
+    os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is loaded
 
 import hypothesis
 import pytest

@@ -18,6 +18,13 @@ Result = TypeVar("Result")
 MOST_THREADS = 4  # however many cores there are: a fit shares the computer with the nodes
 
 
+def usable_cores() -> int:
+    """Return the cores that this process may use: of its affinity, and at most ``OMP_NUM_THREADS``, as BLAS takes."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    told = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+    return max(1, min(cores, int(told))) if told.isdecimal() else cores
+
+
 class _Background(threading.local):
     check: Callable[[], None] | None = None
     alone: bool = False
@@ -49,7 +56,7 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], most: int 
             check()
         return work(item)
 
-    threads = 1 if _background.alone else min(most, os.cpu_count() or 1, len(items))
+    threads = 1 if _background.alone else min(most, usable_cores(), len(items))
     if threads < 2:
         return [checked(item) for item in items]
     with ThreadPoolExecutor(threads, "fit") as pool:

@@ -15,17 +15,40 @@ from drive_id.core.numerics import threads
 from drive_id.core.numerics.threads import one_blas_thread
 
 
-@pytest.mark.parametrize("processors", [None, 1, 2, 64])
-def test_results_come_in_the_order_of_the_items(monkeypatch, processors):
-    monkeypatch.setattr(threads.os, "cpu_count", lambda: processors)
+def may_use(monkeypatch, cores, told=None):
+    monkeypatch.setattr(threads.os, "sched_getaffinity", lambda _: range(cores), raising=False)
+    if told is None:
+        monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    else:
+        monkeypatch.setenv("OMP_NUM_THREADS", told)
+
+
+@pytest.mark.parametrize("cores", [1, 2, 64])
+def test_results_come_in_the_order_of_the_items(monkeypatch, cores):
+    may_use(monkeypatch, cores)
     assert threads.in_threads(lambda item: item**2, range(50)) == [item**2 for item in range(50)]
     assert threads.in_threads(str, []) == []
 
 
 def test_two_really_work_at_once(monkeypatch):
-    monkeypatch.setattr(threads.os, "cpu_count", lambda: 2)
+    may_use(monkeypatch, 2)
     both = threading.Barrier(2, timeout=60.0)
     assert sorted(threads.in_threads(lambda _: both.wait(), range(2))) == [0, 1]
+
+
+@pytest.mark.parametrize(
+    ("told", "cores"), [(None, 8), ("3", 3), ("3,2", 3), ("99", 8), ("0", 1), ("", 8), ("many", 8), ("-1", 8)]
+)
+def test_a_fit_keeps_to_the_cores_that_it_was_given(monkeypatch, told, cores):
+    may_use(monkeypatch, 8, told)
+    assert threads.usable_cores() == cores
+
+
+def test_where_no_affinity_is_known_all_cores_count(monkeypatch):
+    may_use(monkeypatch, 8)
+    monkeypatch.delattr(threads.os, "sched_getaffinity", raising=False)
+    monkeypatch.setattr(threads.os, "cpu_count", lambda: None)
+    assert threads.usable_cores() == 1
 
 
 def test_an_error_is_not_lost():

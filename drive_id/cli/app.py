@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="drive-id",
-    help="Identify flux maps, resistance and inverter voltage error of electric drives from ROS 2 bags.",
+    help="Identify flux maps, resistance and inverter voltage error of electric drives from ROS 2 bags and other logs.",
     epilog="Exit codes: 0 done, 1 bad input (one line says what), 2 wrong usage, 3 verification not passed.",
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -205,12 +205,12 @@ def fit(
     output: Annotated[Path | None, options.output("Result folder.  \\[default: LOG_METHOD beside the log]")] = None,
     method: Annotated[
         str | None,
-        typer.Option(help="full; static: slow log in d and q; the paper's: joint, psm.  \\[default: full]"),
+        typer.Option(help="full, static (slow dq log), locked; the paper's: joint, psm.  \\[default: full]"),
     ] = None,
     i_max: options.RadiusOption = None,
     machine: Annotated[str | None, typer.Option(help="Name of the machine, for titles.")] = None,
     serial: Annotated[str | None, typer.Option(help="Serial number of the machine.")] = None,
-    rated_current: Annotated[float | None, typer.Option(help="Amplitude at which L_d, L_q are told, A.")] = None,
+    rated_current: Annotated[float | None, typer.Option(help="Current of the reported L_d, L_q, A.")] = None,
     signals: options.SignalsOption = None,
     namespace: options.NamespaceOption = "",
     config: options.FitConfigOption = None,
@@ -218,7 +218,7 @@ def fit(
     workers: options.WorkersOption = 1,
     dask: options.DaskOption = None,
     skip_bad: options.SkipFlag = False,
-    figures: Annotated[bool, typer.Option("--figures", help="Draw pictures, after the answer.")] = False,
+    figures: Annotated[bool, typer.Option("--figures", help="Draw pictures of the result.")] = False,
     no_figures: Annotated[bool, typer.Option("--no-figures", help="Draw none, as by default.", hidden=True)] = False,
     figure_format: Annotated[
         FigureFormat | None,
@@ -236,7 +236,7 @@ def fit(
     as_json: options.JsonFlag = False,
     quiet: options.QuietFlag = False,
 ) -> None:
-    """Identify flux maps, resistance and inverter voltage error from recorded bags."""
+    """Identify flux maps, resistance and inverter voltage error from recordings."""
     from drive_id.files.results.identification import results_tree
     from drive_id.fitting.fit import fit_bags
 
@@ -322,7 +322,7 @@ def accumulate(
     as_json: options.JsonFlag = False,
     quiet: options.QuietFlag = False,
 ) -> None:
-    """Reduce bags to a small file with all that a fit needs: fitting such files is fitting their bags."""
+    """Reduce bags to a small information file, which fit takes in their place."""
     from drive_id.files.results.information import information_tree
     from drive_id.fitting.fit import accumulate_bags
 
@@ -404,7 +404,7 @@ def recover(
     as_json: options.JsonFlag = False,
     quiet: options.QuietFlag = False,
 ) -> None:
-    """Copy what is readable of a cut-off or damaged bag to a new bag that any reader opens."""
+    """Copy the readable part of a truncated or damaged bag to a new, valid bag."""
     from drive_id.files.write.recover import recover_bag
 
     recovery = recover_bag(bag, output)

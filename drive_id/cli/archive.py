@@ -41,17 +41,17 @@ def index_results(
 
 def serve_results(
     folder: Annotated[Path, typer.Argument(help="Folder below which the results are.", show_default=False)],
-    host: Annotated[
-        str, typer.Option(help="Address to listen at; another one than this computer's needs a token.")
-    ] = "127.0.0.1",
+    host: Annotated[str, typer.Option(help="Address to listen on; any but localhost needs a token.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port.", min=0, max=65535)] = 8080,
-    token: Annotated[str, typer.Option(help="Token to ask for.  \\[default: a new one if not 127.0.0.1]")] = "",
+    token: Annotated[
+        str, typer.Option(help="Token that clients must send.  \\[default: a new one if not 127.0.0.1]")
+    ] = "",
     namespace: Annotated[str, typer.Option(help="ROS namespace of the drive on the live page.")] = "",
     archive_only: Annotated[bool, typer.Option("--archive-only", help="Do not listen to ROS.")] = False,
     as_json: options.JsonFlag = False,
     quiet: options.QuietFlag = False,
 ) -> None:
-    """Serve all results below a folder, and with ROS 2 a live page of an experiment; both only show."""
+    """Serve all results below a folder, and with ROS 2 a live page of an experiment, read-only."""
     try:
         import uvicorn
 

@@ -23,7 +23,7 @@ def check_log(
     as_json: options.JsonFlag = False,
     quiet: options.QuietFlag = False,
 ) -> None:
-    """Inspect a log before a fit: list its contents, check it, and propose where the signals are."""
+    """Inspect a log before a fit: list its contents, check it, and draft a signals file."""
     from drive_id.files.results.folder import replace_file
     from drive_id.inspection.inspect import check
     from drive_id.reporting.log_tables import inspection_tables

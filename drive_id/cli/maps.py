@@ -136,7 +136,7 @@ def export_result(
     sample_period: Annotated[
         float | None, typer.Option(help="Of the controllers of c-header, s: their delay limits the bandwidth.")
     ] = None,
-    phase_margin: Annotated[float, typer.Option(help="Least phase margin with that delay, degrees.")] = 60.0,
+    phase_margin: Annotated[float, typer.Option(help="Minimum phase margin with that delay, degrees.")] = 60.0,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
     as_json: options.JsonFlag = False,
     quiet: options.QuietFlag = False,

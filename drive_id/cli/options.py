@@ -49,7 +49,7 @@ LogArgument = Annotated[
 ResultArgument = Annotated[
     Path, typer.Argument(help="Result folder of fit or import.", show_default=False, metavar="DIR")
 ]
-SignalsOption = Annotated[Path | None, typer.Option(help="YAML file: where the signals are.")]
+SignalsOption = Annotated[Path | None, typer.Option(help="Signals file (YAML).")]
 NamespaceOption = Annotated[str, typer.Option(help="ROS namespace of one of several drives.")]
 RadiusOption = Annotated[float | None, typer.Option(help="Disc radius, A.  \\[default: of references]")]
 PolePairsOption = Annotated[
@@ -59,10 +59,10 @@ LinkOption = Annotated[
     float | None, typer.Option("--u-dc", help="DC-link voltage, V.  \\[default: that of the result]", min=1e-3)
 ]
 WorkersOption = Annotated[int, typer.Option(help="Processes that read the bags.")]
-DaskOption = Annotated[str | None, typer.Option("--dask", metavar="ADDRESS", help="Let this Dask cluster read.")]
-SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out unusable bags, and say so.")]
+DaskOption = Annotated[str | None, typer.Option("--dask", metavar="ADDRESS", help="Dask cluster that reads the bags.")]
+SkipFlag = Annotated[bool, typer.Option("--skip-bad", help="Leave out unusable bags; warn of them.")]
 FitConfigOption = Annotated[Path | None, typer.Option(help="YAML file with settings.")]
-ForceFlag = Annotated[bool, typer.Option("--force", help="Replace other results, write beside other files.")]
+ForceFlag = Annotated[bool, typer.Option("--force", help="Overwrite results; allow other files.")]
 
 
 def listing(settings: str | None) -> type[TyperCommand]:

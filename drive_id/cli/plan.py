@@ -24,8 +24,10 @@ def plan_experiment(
     ] = None,
     speed_min: Annotated[float | None, typer.Option(help="Lowest speed, rpm.  \\[default: 250]")] = None,
     speed_max: Annotated[float | None, typer.Option(help="Highest speed, rpm.  \\[default: 1500]")] = None,
-    reverse: Annotated[bool | None, typer.Option("--reverse/--one-direction", help="Also turn backwards.")] = None,
-    accuracy: Annotated[float | None, typer.Option(help="Wanted flux accuracy, percent.  \\[default: 0.05]")] = None,
+    reverse: Annotated[
+        bool | None, typer.Option("--reverse/--one-direction", help="Both directions of rotation.")
+    ] = None,
+    accuracy: Annotated[float | None, typer.Option(help="Target flux accuracy, percent.  \\[default: 0.05]")] = None,
     duration: Annotated[float | None, typer.Option(help="Duration, s.  \\[default: as the accuracy requires]")] = None,
     duration_max: Annotated[float | None, typer.Option(help="Longest duration, s.  \\[default: 60]")] = None,
     free_shaft: Annotated[
@@ -38,7 +40,7 @@ def plan_experiment(
     as_json: options.JsonFlag = False,
     quiet: options.QuietFlag = False,
 ) -> None:
-    """Propose trajectory, speeds and duration for a wanted accuracy, from rough machine data."""
+    """Propose trajectory, speeds and duration for a target accuracy, from rough machine data."""
     from drive_id.core.planning.free_shaft import plan_free_shaft
     from drive_id.core.planning.planner import plan
     from drive_id.core.planning.settings import PlanSettings

@@ -89,7 +89,7 @@ def report_result(
     as_json: options.JsonFlag = False,
     quiet: options.QuietFlag = False,
 ) -> None:
-    """Write a report on a result: one HTML or PDF file that needs no network and no other files."""
+    """Write a report on a result: one self-contained HTML or PDF file."""
     from drive_id.fitting.result import load
     from drive_id.reporting.page.report import check_report_output, write_report
 
@@ -142,7 +142,7 @@ def verify_result(
         Path | None,
         typer.Option(
             metavar="LIMITS",
-            help="End of line: the map is of a golden sample; YAML file of limits, no standard errors.",
+            help="End-of-line test against a golden sample's map: YAML file of limits, no standard errors.",
         ),
     ] = None,
     signals: options.SignalsOption = None,
@@ -151,7 +151,7 @@ def verify_result(
     as_json: options.JsonFlag = False,
     quiet: options.QuietFlag = False,
 ) -> None:
-    """Judge a map by a recording that it was not fitted to, or a machine by a golden map. Exit code 3: not passed."""
+    """Validate a map by an independent recording, or a machine by a golden map. Exit code 3: not passed."""
     from drive_id.analysis.verification import GOLDEN, VerificationLimits, verify
     from drive_id.files.messages.signals_file import read_signals
     from drive_id.files.read.several import read_recording

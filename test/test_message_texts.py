@@ -84,9 +84,11 @@ def test_units_and_optional_parts():
     assert "by 100 us, " in Message("equally_spaced", **lost)
     assert Message("equally_spaced", **lost).endswith("jitter by 2.5 us rms.")
     assert Message("equally_spaced", missing=9, **lost).endswith(
-        "; 9 samples are missing in 3 places, inferred from lasting steps of the stamps."
+        "; 9 samples are missing in 3 places, inferred from permanent steps of the stamps."
     )
-    assert "rms. Up to 1 sample missing in one place cannot be told" in Message("equally_spaced", unseen=1, **lost)
+    assert "rms. Up to 1 sample missing in one place cannot be distinguished" in Message(
+        "equally_spaced", unseen=1, **lost
+    )
     assert "5 ± 0.11°" not in Message("resolver_offset", value=math.radians(5), sigma=math.radians(0.11))
     assert "5.00 ± 0.11 °" in Message("resolver_offset", value=math.radians(5), sigma=math.radians(0.11))
     of_phase = Message("resistance_of_phase", phase=1, value=1e-3, sigma=1e-4, resistance=2.0)

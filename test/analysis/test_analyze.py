@@ -180,7 +180,7 @@ def test_settings_reach_the_tables(result):
     assert found.figures["resistance"].value == pytest.approx(0.3 * (1 + 3.93e-3 * 80))
     assert found.mtpa.current[-1] == 20.0
     text = " ".join(found.statements)
-    assert "assumed, as no temperatures are known" in text
+    assert "was assumed, because no temperatures are known" in text
     assert "magnet was not identified" in text
 
 

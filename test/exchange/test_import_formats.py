@@ -370,7 +370,7 @@ def test_an_outlier_is_told(tmp_path):
         assert len(warnings) == said
     i_d, i_q = (axis.ravel()[130] for axis in grids())
     assert warnings[0].startswith(
-        f"The flux linkage at i_d = {i_d:.4g} A, i_q = {i_q:.4g} A, or at a point beside it, "
+        f"The flux linkage at i_d = {i_d:.4g} A, i_q = {i_q:.4g} A, or at a neighbouring point, "
     )
 
 

@@ -54,7 +54,7 @@ def test_what_is_said(bag, tmp_path, method):
     bare = drive_id.fit(path, method=method)
     assert told(bare.warnings) == []
     (statement,) = told(bare.drive.statements)
-    assert statement.startswith(f"{path} has no checksums, so flipped bits are noticed only where samples stand out: ")
+    assert statement.startswith(f"{path} has no checksums, so flipped bits are noticed only as outliers: ")
     assert bare.warnings == with_checksums.warnings  # a healthy recording does not look broken
 
     flipped = drive_id.fit(copied(bag, tmp_path / "flipped.mcap", crcs=False, flipped=70), method=method)

@@ -16,7 +16,7 @@ from drive_id.core.result.identify import gather, identify, score
 
 pytestmark = pytest.mark.accuracy
 
-COMPENSATES, STANDS_OUT = "compensates its inverter", "stand out"
+COMPENSATES, STANDS_OUT = "compensates the inverter's drop", "are outliers"
 
 
 def live(machine="ipm", before=2.0, after=2.0, figure=3.0, **settings):
@@ -79,7 +79,7 @@ def test_a_map_of_motoring_currents_alone_has_no_mirror():
     assert found.flux_map.i_q[-1] > 280
     (angle,) = (entry for entry in found.calibrations if entry.name == "resolver_offset")
     assert not angle.applied
-    assert "both signs of i_q" in angle.message
+    assert "only one sign of i_q" in angle.message
     assert "No angle" not in said(found)
 
 

@@ -406,4 +406,4 @@ def test_a_wide_inverter_curve_shares_its_uncertainty_with_the_resistance(law, w
     assert 100 * max(score(found, simulation.truth)) < FLUX
     assert found.resistance == pytest.approx(simulation.truth.resistance, abs=2 * found.sigma_resistance)
     (told,) = found.report.warnings
-    assert told.startswith("The inverter's drop still bends at large currents")
+    assert told.startswith("The inverter's drop is still nonlinear at large currents")

@@ -51,7 +51,7 @@ def test_a_drive_that_restarts_is_told_of_by_all_who_listen(ros, tmp_path):
     ros.wait(lambda: samples("/recorder", "samples") > 3000, "recorded samples")
     restarted = Parameter("restarts", value=1).to_parameter_msg()
     assert ros.call(SetParameters, "/bench_simulator/set_parameters", parameters=[restarted]).results[0].successful
-    ros.wait(lambda: "are of two drives" in said["/identification"].message, "the news of the restart")
+    ros.wait(lambda: "come from two drives" in said["/identification"].message, "the news of the restart")
     reply = ros.call(Identify, "/identification/identify")
     assert (reply.success, reply.code) == (False, Identify.Response.CODE_DRIVE_CHANGED)
     assert "Ask for the part 'before'" in reply.message

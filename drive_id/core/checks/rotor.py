@@ -61,7 +61,7 @@ def unit_findings(runs: Sequence[Samples]) -> Iterator[Message]:
     moved = sum(float(run.angle[-1] - run.angle[0]) for run in runs)
     expected = sum(float(run.speed[:-1].sum() * run.sample_period) for run in runs)
     if wraps.sum() == 0 and expected and abs(np.deg2rad(moved / expected) - 1) < SPEED_TOLERANCE and abs(expected) > 1:
-        yield _in_unit("degrees", 360.0, f"advances {moved / expected:.4g} times as fast as its speed says")
+        yield _in_unit("degrees", 360.0, f"advances {moved / expected:.4g} times as fast as the logged speed")
 
 
 def rotation_finding(ratio: float) -> Message:

@@ -315,7 +315,7 @@ class StreamJoin:
             )
         if not self.samples:
             raise NoOverlapError(
-                f"No {SHORTEST_RUN} consecutive samples of {clock} have partners in voltages and resolver: "
+                f"No {SHORTEST_RUN} consecutive samples of {clock} have simultaneous voltages and angles: "
                 "record the signals without losses."
             )
 

@@ -116,10 +116,10 @@ READINGS = {
         lambda s: replace(s, i_abc=s.u_abc, u_abc=s.i_abc), "exchanged", "exchange their topics or fields"
     ),
     "alpha and beta for a and b": (
-        lambda s: replace(s, u_abc=pair(s.u_abc)), "alpha_beta", "The voltages seem to be components alpha and beta"
+        lambda s: replace(s, u_abc=pair(s.u_abc)), "alpha_beta", "The voltages seem to be alpha and beta components"
     ),
     "currents alpha and beta": (
-        lambda s: replace(s, i_abc=pair(s.i_abc)), "alpha_beta", "The currents seem to be components alpha and beta"
+        lambda s: replace(s, i_abc=pair(s.i_abc)), "alpha_beta", "The currents seem to be alpha and beta components"
     ),
     "all alpha and beta": (
         lambda s: replace(s, i_abc=pair(s.i_abc), u_abc=pair(s.u_abc)), "alpha_beta", "The currents and voltages seem"
@@ -326,7 +326,7 @@ def test_a_mechanical_angle_over_several_electrical_turns_is_in_radians(ipm, pol
         (lambda s: replace(s, speed=s.speed / 4 / (2 * np.pi)), "in revolutions per second and the machine had 4 pole"),
         (lambda s: replace(s, speed=np.rad2deg(s.speed)), "the speed were in degrees per second"),
         (lambda s: replace(s, speed=s.speed * 1e-3), "the unit of the time were wrong"),
-        (lambda s: replace(s, speed=s.speed * 0.77), "says. Give both"),
+        (lambda s: replace(s, speed=s.speed * 0.77), "logged speed. Give both"),
     ],
 )
 def test_what_a_ratio_of_the_speeds_means(ipm, change, said):

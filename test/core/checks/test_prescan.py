@@ -83,7 +83,7 @@ def test_a_single_sample_is_standstill(good):
 
 @pytest.mark.parametrize("factor", [-1.0, 0.0, 0.25, 0.97, 1.03, 4.0])
 def test_speeds_that_contradict_the_angle(good, factor):
-    with pytest.raises(DataError, match="times as fast as its speed says"):
+    with pytest.raises(DataError, match="times as fast as the logged speed"):
         check(replace(good, speed=factor * good.speed))
 
 

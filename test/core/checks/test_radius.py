@@ -34,7 +34,7 @@ def samples():
     ("i_max", "said"),
     [
         (140.0, r"^i_max is 140 A but the recording reaches 300 A: .* beyond 147 A .* set i_max to 300 A\.$"),
-        (1500.0, r"^i_max is 1500 A but the currents reach only 300 A: the map covers 4\.\d % .* set i_max to 300 A "),
+        (1500.0, r"^i_max is 1500 A but the currents reach only 300 A: .* cover only 4\.\d % .* set i_max to 300 A "),
     ],
 )
 def test_far_off(samples, method, i_max, said):
@@ -48,7 +48,7 @@ def test_off_by_some(samples):
 
     assert "i_max is 200 A but the recording reaches 300 A: " in warnings(200.0)
     assert "set i_max to 300 A." in warnings(200.0)
-    assert "i_max is 600 A but the currents reach only 300 A: the map covers 2" in warnings(600.0)
+    assert "i_max is 600 A but the currents reach only 300 A: the map would cover only 2" in warnings(600.0)
     for i_max in (290.0, 300.0, 400.0):
         assert "i_max" not in warnings(i_max)
 
@@ -67,7 +67,7 @@ def test_the_empty_half_of_the_disc_is_named(samples, axis, sign, name):
     arrays = {key: getattr(samples, key)[kept] for key in ("stamp", "i_abc", "u_abc", "angle", "speed")}
     starts = np.flatnonzero(np.diff(kept, prepend=-2) > 1)
     said = identify([replace(samples, **arrays, run_starts=starts)], FitSettings("joint", i_max=300.0)).report.warnings
-    assert f" % of its half with {name}: elsewhere, use the map" in " ".join(said)
+    assert f" % of its half with {name}. Elsewhere, use the map" in " ".join(said)
 
 
 def test_what_was_reached_is_merged_and_stored():
@@ -83,7 +83,7 @@ def test_what_was_reached_is_merged_and_stored():
     ("i_max", "code", "said"),
     [
         (50, 1, r"i_max is 50 A but the recording reaches \d+ A: .* set i_max to \d+ A\."),
-        (600, 0, r"i_max is 600 A but the currents reach only \d+ A: the map covers 2\d % of the disc, .*\."),
+        (600, 0, r"i_max is 600 A but the currents reach only \d+ A: the map would cover only 2\d % of the disc, .*\."),
     ],
 )
 def test_drive_id_fit_says_so(bag, tmp_path, monkeypatch, capfd, i_max, code, said):
@@ -110,4 +110,4 @@ def test_too_large_an_i_max_does_not_hide_the_mirrored_currents(simulation):
     """It was once said that i_q had one sign only."""
     found = identify([simulation.samples], FitSettings("full", i_max=1200.0, harmonic_orders=(6,)))
     assert "i_max is 1200 A but the currents reach only 300 A: " in " ".join(found.report.warnings)
-    assert "both signs" not in " ".join((*found.statements, *found.report.warnings))
+    assert "one sign" not in " ".join((*found.statements, *found.report.warnings))

@@ -91,7 +91,7 @@ def test_saturating_bridges_are_told_from_dead_time(machine):
     slope = normalized_slope(bench.truth)
     assert abs(found.resistance - bench.truth.resistance - slope) < 2 * found.sigma_resistance
     assert not found.report.warnings
-    assert any("finer detail than the usual" in statement for statement in found.statements)
+    assert any("finer detail than the default" in statement for statement in found.statements)
 
 
 @pytest.mark.accuracy

@@ -142,7 +142,7 @@ def test_without_generating_currents_there_is_no_mirror(good):
     one_sided = replace(motoring, **arrays, run_starts=starts, i_dq_reference=None)
     (entry,) = (entry for entry in fitted(one_sided).calibrations if entry.name == "resolver_offset")
     assert not entry.applied
-    assert "both signs of i_q" in entry.message
+    assert "only one sign of i_q" in entry.message
 
 
 def test_only_exact_coincidences_confound_orders():
@@ -158,4 +158,4 @@ def test_a_voltage_of_the_wrong_size_is_named_with_its_phase(good):
     found = fitted(replace(good.samples, u_abc=good.samples.u_abc * [1.0, 1.0, 0.98]))
     (sentence,) = (warning for warning in found.report.warnings if "voltages' gains differ" in warning)
     assert "as if phase c were -2 % off" in sentence
-    assert "cannot be seen" in sentence
+    assert "cannot be detected" in sentence

@@ -140,7 +140,7 @@ def test_a_common_gain_that_only_the_torque_can_show(simulated, tmp_path):
     assert torque.sigma_gain < 5e-4
     assert abs(torque.friction) < 4 * torque.sigma_friction < 0.1
     assert torque.pole_pairs == 4
-    assert any("which voltages and currents alone cannot show" in text for text in result.drive.statements)
+    assert any("Voltages and currents alone do not show this" in text for text in result.drive.statements)
     assert "common_gain" not in {said.code for said in result.drive.statements}  # it says that nothing can show it
     assert drive_id.load(tmp_path / "result").drive.torque == torque
 
@@ -159,4 +159,4 @@ def test_a_gain_far_from_one_is_a_warning(simulated):
     wrong = drive_id.fit(replace(simulated, truth=None), settings=drive_id.FitSettings(method="joint", pole_pairs=2))
     assert any("1.96 times that of the map: check its scale" in text for text in wrong.warnings)
     turned = drive_id.fit(replace(simulated, shaft_torque=-simulated.shaft_torque), method="joint")
-    assert any("-0.98" in text and "reverse its sign by scale" in text for text in turned.warnings)
+    assert any("-0.98" in text and "reverse its sign (scale" in text for text in turned.warnings)

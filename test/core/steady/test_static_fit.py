@@ -68,7 +68,7 @@ def test_a_handful_of_points_gives_parameters_whose_errors_hold():
     coverage = np.mean(hits, axis=0)
     assert (coverage >= 0.9).all()
     assert 0.9 <= np.mean(hits) <= 0.99
-    assert "affine machine" in found.statements[0]
+    assert "constant L_d and L_q" in found.statements[0]
 
 
 def test_means_without_a_time_do_as_well():
@@ -100,7 +100,7 @@ def test_points_of_one_amplitude_leave_drop_and_resistance_together():
     i_dq = 80 * np.column_stack([np.cos(angle), np.sin(angle)])
     found = identified(telemetry(drive, i_dq, some_speeds(rng, 6), dead_time(1.5, 0.1), rng=rng))
     assert abs(found.resistance - drive.resistance) < 1.96 * found.sigma_resistance
-    assert any("drop of the inverter cannot be told from R" in statement for statement in found.statements)
+    assert any("do not separate the inverter's drop from R" in statement for statement in found.statements)
 
 
 def test_an_inductance_without_its_current_is_unknown():
@@ -154,7 +154,7 @@ def test_an_angle_that_is_off_is_said():
     cosine, sine = np.cos(0.05), np.sin(0.05)
     turned = np.array([[cosine, -sine], [sine, cosine]])
     found = identified(replace(data, i_dq=data.i_dq @ turned.T, u_dq=data.u_dq @ turned.T))
-    assert any("angle of d and q is off" in warning for warning in found.report.warnings)
+    assert any("angle of the dq frame is off" in warning for warning in found.report.warnings)
 
 
 def test_temperatures_refer_the_resistance_to_20_degrees():

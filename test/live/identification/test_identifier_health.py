@@ -60,7 +60,7 @@ def test_nan_samples_are_named_and_not_said_to_have_no_partners(identifier):
     assert health.values["/phase_currents: samples NaN or infinite"] == "600"
     assert health.values["/resolver: samples NaN or infinite"] == "1"
     assert any("600 samples of /phase_currents are NaN or infinite" in sentence for sentence in said)
-    assert not any("partners" in sentence for sentence in said)
+    assert not any("simultaneous" in sentence for sentence in said)
     reply = identifier.job((), "")(lambda *_: None)
     assert reply.code == "non_finite"  # as the sentence says
 
@@ -72,7 +72,7 @@ def test_samples_without_partners_are_still_told(identifier):
         lambda section, number, values: (number * 100, [v[: 100 if section == 0 else 50] for v in values]),
     )
     _, said = told(identifier)
-    assert any("found partners" in sentence for sentence in said)
+    assert any("for lack of simultaneous voltages" in sentence for sentence in said)
 
 
 def test_a_publisher_that_does_not_count_is_told(identifier):

@@ -66,7 +66,7 @@ def assert_two(identifier, words):
         assert reply.identification.resistance == pytest.approx(R[name], rel=0.15)
         assert (reply.refit is None) == (part == "before")
     said = [text for key, text in identifier.health("", [[]] * 3).values.items() if key.startswith("also")]
-    assert any("are of two drives" in text for text in [identifier.health("", [[]] * 3).message, *said])
+    assert any("come from two drives" in text for text in [identifier.health("", [[]] * 3).message, *said])
 
 
 @pytest.mark.cases

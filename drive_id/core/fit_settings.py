@@ -42,14 +42,14 @@ class FitSettings(Checked):
     )  # fmt: skip
     longest_rest: float = setting(
         0.02,
-        "samples after a longer rest below 2 % of i_max are left out: there the steep slope of the inverter's curve "
-        "turns current noise into voltage",
+        "samples after a longer rest below 2 % of i_max are left out: the steep slope of the inverter's curve there "
+        "turns current noise into voltage noise",
         unit="s", minimum=0.0, maximum=1e6,
     )  # fmt: skip
     maps: str = setting(
         "auto",
         "full: reciprocal maps are gradients of a co-energy, free maps are not; auto: reciprocal unless the data "
-        "refuse",
+        "contradict it",
         choices=("auto", "reciprocal", "free"),
     )
     harmonic_orders: tuple[int, ...] = setting(
@@ -61,8 +61,8 @@ class FitSettings(Checked):
     per_phase_inverter: bool = setting(False, "full: whether to fit one inverter curve per phase")
     monotone: bool = setting(
         False,
-        "whether to make the estimated map reciprocal and monotone (convex co-energy), also beyond the data, and to "
-        "report how far it moved",
+        "whether to make the estimated map reciprocal and monotone (convex co-energy), also beyond the data; its "
+        "movement is reported",
     )
     passive_maps: bool = setting(False, "full: whether to enforce a positive definite inductance matrix")
     calibrate_delay: bool = setting(True, "full: whether to estimate the delay of the voltages after their stamps")
@@ -89,7 +89,7 @@ class FitSettings(Checked):
     pole_pairs: int = setting(
         0,
         "number of pole pairs, to compare a recorded shaft torque with the map (0: that of the signals file or the "
-        "simulation) and to tell an eccentric rotor",
+        "simulation) and to detect an eccentric rotor",
         minimum=0,
         maximum=MOST_POLE_PAIRS,
     )
@@ -101,13 +101,13 @@ class FitSettings(Checked):
     )  # fmt: skip
     inertia: float | None = setting(
         None,
-        "inertia of a free shaft, where it is known by design, without added_inertia: it closes the common gain",
+        "inertia of a free shaft, known by design, without added_inertia: shows the common gain error",
         unit="kg m^2", minimum=1e-9, maximum=1e6,
     )  # fmt: skip
     added_inertia: tuple[float, ...] = setting(
         (),
-        "inertia added to a free shaft in each recording, in order, 0 for none: two different ones close the common "
-        "gain",
+        "inertia added to a free shaft in each recording, in order, 0 for none: two different ones show the common "
+        "gain error",
         unit="kg m^2", minimum=0.0, maximum=1e6,
     )  # fmt: skip
     grid_points: int = setting(65, "points of the map along each axis", minimum=9, maximum=1025)

@@ -39,12 +39,15 @@ class PlanSettings(Checked):
         250.0, "Lowest mechanical speed allowed; voltage errors weigh most there", unit="rpm", minimum=1.0
     )
     speed_max: float = setting(1500.0, "Highest mechanical speed allowed", unit="rpm", minimum=1.0, maximum=1e6)
-    reverse: bool = setting(True, "Whether the shaft may also turn backwards")
+    reverse: bool = setting(True, "Whether the shaft may turn in both directions")
     accuracy: float = setting(
-        0.05, "Wanted standard error of the flux, in percent of its largest value", minimum=1e-4, maximum=10.0
+        0.05, "Target standard error of the flux, in percent of its largest value", minimum=1e-4, maximum=10.0
     )
     duration: float | None = setting(
-        None, "Duration of the experiment, all speeds together; default: as the accuracy needs", unit="s", minimum=2.0
+        None,
+        "Duration of the experiment, all speeds together; default: as the accuracy requires",
+        unit="s",
+        minimum=2.0,
     )
     duration_max: float = setting(60.0, "Longest duration of the experiment", unit="s", minimum=2.0, maximum=1e5)
 

@@ -214,7 +214,7 @@ def test_a_winding_that_cools_by_a_hundred_kelvin_is_doubted():
     found = identify(recordings, FULL)
     (told,) = (warning for warning in found.report.warnings if warning.code == "resistance_change")
     assert told.values["kelvin"] < -60.0
-    assert "not reciprocal" in told
+    assert "non-reciprocal" in told
 
 
 @pytest.mark.accuracy

@@ -124,7 +124,7 @@ def calibrate_delay(fit: FullFit, wanted: bool, turn: float) -> Calibration:
         return entry(used, "voltage_delay.limit", doubtful=True)
     estimated = Delay(used, sigma)
     if every := estimated.decimation:
-        return entry(used, "voltage_delay.decimated", doubtful=True, every=max(2, every))
+        return entry(used, "voltage_delay.decimated", doubtful=True, early=-delay, every=max(2, every))
     lost = 0.5 * (turn * used) ** 2
     if used > 0 or lost < _LEAST_LOST:
         return entry(used, "voltage_delay")

@@ -67,7 +67,8 @@ _FAR = 0.03
 _EVERY_SECOND = -0.25
 """Delay, samples, of a log with every second sample."""
 _LATEST = 0.8
-"""Of currents at one speed, samples: there, a delay of the voltages looks alike, and is more usual."""
+"""Of currents at one speed, samples: there, a delay of the voltages looks alike, and is more usual. Early currents look
+like early voltages, which logs have that hold every n-th sample."""
 _MOST_BY_PENALTY = 0.3
 """Largest relative change of an effect when the largest penalty is used."""
 _RIVAL = 0.3
@@ -195,7 +196,7 @@ class _Search:
             return False
         found, most = self.subset(names), _LATEST * self.rules.noise.period
         late = names & _LATE & _ROTATING
-        if self.rules.one_speed and any(abs(found.value(name, delay)[0]) > most for name in late):
+        if self.rules.one_speed and any(not 0 <= found.value(name, delay)[0] <= most for name in late):
             return False
         if not all(_plausible(name, found.value(name, delay), self.rules.noise) for name in names):
             return False

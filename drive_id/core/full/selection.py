@@ -126,17 +126,23 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
     for _ in range(_SEARCHES if settings.search_orders else 0):
         found, solution = candidate.search.sums, candidate.search.solution
         new = unexpected_orders(sums.model, solution.estimate, found.kept(), known)
-        caused = [CATALOGUE[name].harmonic for name in solution.spec.effects]
-        new = tuple(order for order in new if order in distinct_orders((*known, order), turn) and order not in caused)
+        new = tuple(order for order in new if order in distinct_orders((*known, order), turn))
         if not new:
             break
-        sums = sums.over(replace(sums.model, orders=(*solution.spec.orders, *new)[:MOST_ORDERS]))
+        caused = [CATALOGUE[name].harmonic for name in solution.spec.effects]
+        others = tuple(order for order in new if order not in caused)
+        new, before = others or new, None if others else candidate
+        tried = sums.over(replace(sums.model, orders=(*solution.spec.orders, *new)[:MOST_ORDERS]))
         known = (*known, *new)
         del candidate, found, solution  # their matrices are large
-        solver = Solver.over(sums)
-        start = _undelayed(solver, _aligned(sums, solver, settings, turn), settings)
-        del solver
-        candidate = _candidate(sums, start, settings, turn, noise)
+        solver = Solver.over(tried)
+        start = _undelayed(solver, _aligned(tried, solver, settings, turn), settings)
+        candidate = _candidate(tried, start, settings, turn, noise)
+        if before and not _clearly_better(solver, before.error, candidate.error):  # effects cause what there is
+            candidate = before
+            break
+        sums = tried
+        del solver, before
     if candidate.search.found.taken:  # what they explain may have hidden where the cells are too coarse
         candidate = _with_finer_cells(sums, candidate, settings, turn, bounded)
     return replace(_with_free_maps(sums, candidate, settings, turn, noise), crossings=crossings)

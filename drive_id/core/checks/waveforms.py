@@ -27,6 +27,7 @@ _ODD_PHASE = 0.3  # difference of two phases' weights in the sum that is zero, b
 _REVERSED = 0.2  # distance of its gain from -1
 _AT_LIMIT = 2e-6  # relative width of a limit: float32 rounds to 6e-8
 _CLIPPED = 0.015  # share of samples there: a sinusoid is that close to its peak for 0.06 %
+_CLAMPED = 0.9  # share of samples with one phase at the limit: of a sinusoid near it, each phase is there by itself
 _STUCK = 50  # equal samples in a row, more than a coarse converter repeats while the others move
 _MOVED = 0.3  # range of the other phases meanwhile, by the largest value
 _NEAR_LIMIT = 0.999  # of the largest value, where a phase that stands still is clipped
@@ -177,6 +178,10 @@ def _clipped_currents(i_abc: FloatArray) -> Iterator[Message]:
 
 
 def _clipped_voltages(u_abc: FloatArray) -> Iterator[Message]:
+    at_limit = np.abs(u_abc) >= (1 - _AT_LIMIT) * np.abs(u_abc).max()
+    if np.mean(at_limit.sum(axis=1) == 1) > _CLAMPED:
+        yield Message("voltage_clipped.clamped", limit=float(np.abs(u_abc).max()))
+        return
     between = np.ptp(u_abc, axis=1) / np.sqrt(3)  # of two phases, as far as a side of the hexagon from the centre
     kinds = [("amplitude", np.abs(frames.space_vector(u_abc))), ("hexagon", between)]
     kinds += [(f"phase {name}", np.abs(u)) for name, u in zip("abc", u_abc.T, strict=True)]

@@ -108,8 +108,8 @@ class FullFit:
 
     @property
     def shared_resistance(self) -> float:
-        """Largest change of R with the shapes of a wide inverter curve, ohm; 0 if the curve is not wide."""
-        return float(abs(self.assessment.changes[RESISTANCE, -1])) if self.spec.wide else 0.0
+        """Largest change of R with another curve of the inverter that the data leave open, ohm."""
+        return float(abs(self.assessment.changes[RESISTANCE, -1]))
 
     def met(self, effect: str, column: int) -> bool:
         """Tell whether the data have any of a column of an effect."""

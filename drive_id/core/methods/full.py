@@ -370,7 +370,7 @@ def _on_map(
                 yield Message("sigma_large.open", effect=fit.assessment.open, **told)
             else:
                 yield Message("sigma_large", **told, i_d=d, i_q=q)
-    if fit.shared_resistance >= _large_share(fit):
+    if fit.spec.wide and fit.shared_resistance >= _large_share(fit):
         yield Message("wide_curve.large", shared=fit.shared_resistance)
 
 
@@ -411,8 +411,11 @@ def _statements(
         yield Message("compensation_lags")
     if fit.crossings > 1:
         yield Message("zero_crossings", ratio=fit.crossings)
-    if 0 < fit.shared_resistance < _large_share(fit):
+    large = fit.shared_resistance >= _large_share(fit)
+    if fit.spec.wide and not large:  # larger: a warning
         yield Message("wide_curve", shared=fit.shared_resistance)
+    elif large and not fit.spec.wide:
+        yield Message("wide_curve.open", shared=fit.shared_resistance)
     yield from dict.fromkeys(c.message for c in calibrations if not (c.doubtful or c.message.kind == "warning"))
     orders = ", ".join(map(str, fit.spec.orders))
     if not locked:

@@ -467,6 +467,16 @@ def test_voltages_at_a_limit(drives, kind):
     assert f"({kind}" in by_code["voltage_clipped"]
 
 
+def test_discontinuous_pwm_is_named(drives):
+    """One phase is clamped at each moment, which the zero sequence does."""
+    u_abc = drives["spm"].u_abc
+    at, limit = np.arange(len(u_abc)), 1.2 * np.abs(u_abc).max()
+    clamped = u_abc[at, np.abs(u_abc).argmax(axis=1)]
+    u_abc = u_abc + (np.copysign(limit, clamped) - clamped)[:, None]
+    (finding,) = (each for each in found(replace(drives["spm"], u_abc=u_abc)) if each.code == "voltage_clipped")
+    assert f"one phase is clamped at {limit:.4g} V" in finding
+
+
 def test_a_stuck_phase(ipm):
     i_abc, u_abc = ipm.i_abc.copy(), ipm.u_abc.copy()
     i_abc[5000:5300, 1] = i_abc[5000, 1]

@@ -76,6 +76,7 @@ CAUSES = {
     "gains": (
         "current_gain*", "current_rotation", "current_offset", "zero_sequence", "voltage_offset",
     ),
+    "filters": ("current_filters", "current_filter_[abc]"),
     "offsets": ("current_offset*", "voltage_offset*"),
     "resolver": ("eccentricity", "second_mechanical", "resolver_[efs]*"),
     "voltage_gains": ("voltage_gain*",),

@@ -139,6 +139,7 @@ def test_codes_of_causes_are_those_of_messages(population):
         "magnet_flux_change_2",
         "magnet_flux_change_late",
         "inductance_a",
+        "current_filter_a",
         "inverter_drop_a",
     }  # names of corrections
     patterns = [one.partition(".")[0] for own in population.CAUSES.values() for one in own]

@@ -36,6 +36,7 @@ NAMES = {
     "current_latency", "angle_latency", "current_rotation", "resistance_rise", "resistance_by_speed",
     "magnet_flux_change", "resistance_change_2", "magnet_flux_change_2", "dc_link_share", "voltage_gain_mismatch",
     "resolver_eccentricity", "rotor_eccentricity", "resolver_first", "resolver_second",
+    *(f"current_filter_{phase}" for phase in "abc"),
     "resistance_a", "resistance_b", "resistance_c",
     *(f"drop_asymmetry_{phase}" for phase in "abc"),
     *(name for name in EFFECTS if name.startswith("flux_lag")),
@@ -209,6 +210,21 @@ def test_two_current_sensors_of_unequal_gain_turn_the_currents():
     assert not any(entry.name.startswith(("resistance_", "voltage_gain")) for entry in found.calibrations)
     of_two = np.sqrt(2.0) * np.sqrt(2 / 3 * 2 / np.pi) * GOOD.current_noise * simulation.truth.i_max
     assert max(found.report.mad_d, found.report.mad_q) < DEVIATION * of_two, "the simulation's currents are corrected"
+
+
+def test_unequal_filters_of_the_current_sensors_are_found_with_their_time_constants():
+    """The mean of the three is a latency. They passed for maps that are not reciprocal."""
+    simulation = run_experiment(IPM, replace(GOOD, **BOTH_WAYS, current_noise=0.0), seconds=SECONDS)
+    late, i_abc = 1e-6 * np.array([4.0, 12.0, 8.0]), simulation.samples.i_abc
+    noise = 1e-3 * IPM.i_max * np.random.default_rng(5).standard_normal(i_abc.shape)
+    filtered = i_abc - late * np.gradient(i_abc, simulation.samples.sample_period, axis=0) + noise
+    found = fitted(replace(simulation.samples, i_abc=filtered))
+    effects = {entry.name: entry.value for entry in found.calibrations if entry.applied}
+    own = [effects[f"current_filter_{phase}"] for phase in "abc"]
+    assert own == pytest.approx(1e6 * (late - late.mean()), abs=0.5)
+    assert effects["current_latency"] == pytest.approx(1e6 * late.mean(), abs=0.5)
+    assert 100 * max(score(found, simulation.truth)) < FLUX
+    assert found.report.warnings == ()
 
 
 def test_cross_talk_between_current_sensors_is_reported():

@@ -27,11 +27,13 @@ I_MAX, RADIUS, R, PERIOD, SECONDS, SPEED, PAIRS = 330.0, 300.0, 0.02, 1e-4, 0.5,
 NEAR = 0.02
 OF_SAMPLING = {
     "flux_lag_1ms": 0.06, "current_latency": 0.03, "current_offset": 0.1, "current_offset, imaginary": 0.1,
-    "late_magnet_heating": 0.03, "drop_by_link": 0.04, "link_rise": 0.06,
+    "late_magnet_heating": 0.03, "drop_by_link": 0.04, "link_rise": 0.06, "current_filters": 0.07,
+    "current_filters, of b": 0.07,
 }  # fmt: skip
 """Relative error of a column; larger where half a sample of 0.1 ms counts: of a lag of 1 ms, and as the current of this
 drive is smooth between the samples, where that of a real drive has the ripple of the held voltage; and where coarse
-shapes stand for the slope of the drop, which is a large part of an offset's column; and where heat and link have one
+shapes stand for the slope of the drop, which is a large part of an offset's column; where the zero sequence of currents
+that are filtered is taken for that of a circle; and where heat and link have one
 value in a window, in which the power may change its sign."""
 OF_SECOND_ORDER = 0.1
 LARGE_LOSS = 1.2
@@ -185,6 +187,13 @@ def unequal_drops(x):
     return Drive(resistive=lambda _, i_s: R * i_s + x * more(i_s))
 
 
+def unequally_filtered(t, a, b):
+    """Return currents that are late by a, b and -a - b s in the phases, which stands for filters."""
+    late = np.array([a, b, -a - b])
+    own = np.stack([frames.phases(plain_current(t - each).ravel())[:, k] for k, each in enumerate(late)], axis=1)
+    return frames.space_vector(own).reshape(t.shape)
+
+
 def power(t, u_s):
     """Return the power that the machine takes at the middle of the samples that begin at t, W."""
     return 1.5 * (u_s * plain_current(t + 0.5 * PERIOD).conj()).real
@@ -229,6 +238,8 @@ CASES = {
     "current_gains, imaginary": (
         1, lambda x: Drive(measured=lambda t: plain_current(t) + 1j * x * plain_current(t).conj()), 1e-3
     ),
+    "current_filters": (0, lambda x: Drive(measured=lambda t: unequally_filtered(t, x, 0.0)), 1e-6),
+    "current_filters, of b": (1, lambda x: Drive(measured=lambda t: unequally_filtered(t, 0.0, x)), 1e-6),
     "current_offset": (0, lambda x: Drive(measured=lambda t: plain_current(t) + x), 0.1),
     "current_offset, imaginary": (1, lambda x: Drive(measured=lambda t: plain_current(t) + 1j * x), 0.1),
 }  # fmt: skip

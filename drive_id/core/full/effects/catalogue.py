@@ -14,6 +14,7 @@ from drive_id.core.full.effects.iron import Coercivity, EddyCurrents, Hysteresis
 from drive_id.core.full.effects.link import DcLink, DropByLink, LinkRipple, LinkRise, LinkSag
 from drive_id.core.full.effects.parts import AngleOfParts, DropOfParts, UnlikeParts
 from drive_id.core.full.effects.phases import (
+    CurrentFilters,
     DropAsymmetry,
     PhaseInductance,
     PhaseResistance,
@@ -64,6 +65,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         CurrentRotation("current_rotation", "rad", slice(0, 1)),
         CurrentGains("current_gains", "1", slice(1, 3), "current_gain_mismatch"),
         CurrentOffset("current_offset", "A", slice(3, 5), "current_offset"),
+        CurrentFilters("current_filters"),
     )
 }
 """By name, in the order of their columns."""

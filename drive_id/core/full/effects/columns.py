@@ -105,9 +105,13 @@ class EffectColumns:
     def _ends(self, windows: Windows) -> Ends:
         turn: ComplexArray = np.exp(1j * windows.angle)
         i_s = windows.measured * turn
-        induced = (windows.held - float(self.estimate[RESISTANCE]) * i_s - self._drop(i_s, windows)) / turn
+        resistance, fallen = float(self.estimate[RESISTANCE]), self._fallen(i_s, windows)
+        drop = frames.space_vector(fallen.reshape(-1, 3)).reshape(i_s.shape)
+        induced = (windows.held - resistance * i_s - drop) / turn
         part = getattr(windows, self.divided)
-        return Ends(windows, windows.measured, turn, induced, self.pole_pairs, part, self.steady or 0.0)
+        return Ends(
+            windows, windows.measured, turn, induced, resistance, fallen, self.pole_pairs, part, self.steady or 0.0
+        )
 
     def _at(self, windows: Windows) -> Linearized:
         ends, i_dq, through = self._ends(windows), _as_complex(windows.i_dq), self._jacobian(windows)
@@ -259,12 +263,11 @@ class EffectColumns:
         psi = self.model.flux.rows(frames.as_pairs(i_dq.ravel())).dot(self.estimate[self.model.map])
         return np.asarray((psi @ np.array([1.0, 1j])).reshape(i_dq.shape))
 
-    def _drop(self, i_s: ComplexArray, windows: Windows) -> ComplexArray:
-        """Return the inverter's drop at the ends (N, 2) in the stator frame, V."""
-        model = self.model
-        shapes = model.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
-        drops = np.einsum("nps,sp->np", shapes, self._drops)
-        return np.asarray(frames.space_vector(drops).reshape(i_s.shape) * windows.drop_scale[:, None])
+    def _fallen(self, i_s: ComplexArray, windows: Windows) -> FloatArray:
+        """Return the inverter's drop (N, 2, 3) in each phase at the ends, V."""
+        shapes = self.model.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
+        drops = np.einsum("nps,sp->np", shapes, self._drops).reshape(*i_s.shape, 3)
+        return np.asarray(drops * windows.drop_scale[:, None, None])
 
 
 def _as_complex(pairs: FloatArray) -> ComplexArray:

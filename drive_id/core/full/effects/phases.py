@@ -1,4 +1,4 @@
-"""Phases that differ: resistances and inductances, devices of the half-bridges, and gains of the voltages."""
+"""Phases that differ: resistances and inductances, half-bridges, gains of the voltages, and filters of the currents."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from drive_id.core.full.effects.effect import (
     VOLTAGE_MISMATCH,
     Calibration,
     DriveEffect,
+    Ends,
     Linearized,
+    Recorded,
     Reported,
     between,
 )
@@ -64,8 +66,39 @@ class UnequalDrops(PhaseResistance):
             yield found.entry(f"inverter_drop_{'abc'[phase]}", x, dx, "1", "drop_of_phase", phase=phase)
 
 
+@dataclass(frozen=True)
+class CurrentFilters(DriveEffect):
+    """Time constants of the current filters of the phases a and b above the mean, c below it: read are i - t di/dt.
+
+    The voltage across R by the wrong currents is t times its difference between the ends; that across the inverter,
+    half of it: as their zero sequence is left out, the current of a phase crosses zero later by t / 2.
+    """
+
+    width = 2
+    of_sensors, of_speeds, harmonic = True, True, 2  # at one speed, unequal gains of the currents look alike
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return known.sensors
+
+    def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
+        rate = at.turn * (at.windows.slope + 1j * at.windows.speed * at.currents)
+        return [each / at.turn for each in _above_mean(frames.phases(rate.ravel()).reshape(*rate.shape, 3))]
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        i_s = at.currents * at.turn
+        voltage = at.resistance * frames.phases(i_s.ravel()).reshape(at.fallen.shape) + 0.5 * at.fallen
+        across = _above_mean(voltage[:, 1] - voltage[:, 0])
+        return [column + own for column, own in zip(super().columns(at), across, strict=True)]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        for phase, x, dx in _of_phases(found):
+            more = {"phase": phase, "size": abs(x), "late": x > 0}
+            yield found.entry(f"current_filter_{'abc'[phase]}", x, dx, "us", "filter_of_phase", scale=1e6, **more)
+
+
 def _above_mean(of_phases: FloatArray) -> list[ComplexArray]:
-    a, b, c = 2 / 3 * (of_phases * np.exp(1j * frames.PHASE_SHIFTS)).T
+    """Return the space vectors (...,) of what (..., 3) the phases a and b have, less that of phase c."""
+    a, b, c = np.moveaxis(2 / 3 * of_phases * np.exp(1j * frames.PHASE_SHIFTS), -1, 0)
     return [a - c, b - c]
 
 

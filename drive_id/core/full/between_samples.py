@@ -22,8 +22,9 @@ import numpy as np
 
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
+from drive_id.core.full.integrals import spacing
 from drive_id.core.full.model import RESISTANCE, FullModel
-from drive_id.core.full.windows import DECIMATED, Windows, spacing
+from drive_id.core.full.windows import DECIMATED, Windows
 from drive_id.core.numerics.compiled import compiled
 from drive_id.types import TINY, FloatArray, IntArray
 

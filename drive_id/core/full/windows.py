@@ -11,18 +11,17 @@ about 60 degrees electrical, never by a whole period, over which a constant flux
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
 
 from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.core import frames
-from drive_id.core.frames import ROOT_THIRD, THIRD, ComplexArray
-from drive_id.core.maps.inverter_curve import CapacitiveShapes, drop_shape
-from drive_id.core.numerics.compiled import compiled
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.integrals import Reached, Stretch, integrated, lag_weights, spacing
+from drive_id.core.maps.inverter_curve import CapacitiveShapes
 from drive_id.types import BoolArray, FloatArray, IntArray, Samples
 
 Own = TypeVar("Own", bound="Terms")
@@ -49,9 +48,6 @@ DECIMATED = -0.5
 
 SEARCHED = 1500
 """Windows or currents over which many candidates are compared: enough for a dozen unknowns of each."""
-LAGS = (1e-3, 4e-3, 16e-3)
-"""Time constants of flux lags, s."""
-
 _REACH = 4  # samples to each side over which the speed is fitted: a tenth of the noise of one difference
 _NEAR = np.arange(-_REACH, _REACH + 1)
 _PAST = np.arange(-8, 0)
@@ -70,15 +66,12 @@ _ADJACENT = 4096
 """Most adjacent windows that are cut at once, so that memory does not grow with the recording."""
 _PAUSE = 1.0
 """Gap in the stamps, s, after which winding and magnets may have another temperature: 10 A/mm2 heat by 0.5 K/s."""
-_FINEST = 1e-4
-"""Spacing of the possible ends of windows if the sample period is shorter, s."""
 _SOME = 4
 """Of short windows with a zero crossing, one in so many is cut: they only show whether crossings disturb."""
 _WAY_STEP = 5e-4
 """Step in which the way of rotor and current is added up, s: noise lengthens shorter ones."""
 _GOLDEN = 0.6180339887498949
 """Golden section: shifts windows evenly, and never in step with the rotor or the trajectory."""
-_AXES = np.exp(1j * frames.PHASE_SHIFTS)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -97,7 +90,8 @@ class Terms:
     # (N, L), integrals of the coarse shapes minus those for the current one sample earlier, turned with the rotor, by
     # which a drive compensates the drop, s
     lag: ComplexArray
-    crossing: ComplexArray  # (N,), sum over the zero crossings of the phase currents, see :func:`_follow`, s
+    crossing: ComplexArray  # (N,), sum over the zero crossings of the phase currents, see
+    # :mod:`drive_id.core.full.integrals`, s
     # (N,), temperature of winding and, below, magnet above the reference temperature of resistance and flux map, K. The
     # winding: as recorded, else as set for the recording; the magnet: as recorded, else that of the winding.
     heating: FloatArray
@@ -186,40 +180,6 @@ MEASURED = tuple(field.name for field in fields(Windows) if field.name not in _A
 """Arrays of windows that are computed from samples alone."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Stretch:
-    """Samples without a gap, with the quantities computed once per sample."""
-
-    i_abc: FloatArray
-    before: FloatArray  # currents of the sample before, turned with the rotor
-    i_s: ComplexArray
-    u_s: ComplexArray
-    i_dq: ComplexArray
-    angle: FloatArray
-    idle: BoolArray
-    path: FloatArray  # (N, 2), angle turned and heat
-    sums: ComplexArray  # (N, 4), integrals that are ``voltage``, ``current``, ``crossing`` and ``loaded`` of windows
-    least: FloatArray  # (N, 2), smallest absolute phase current, and the same, but 0 where one has crossed zero
-    lagged: ComplexArray  # i_dq after each of LAGS
-    link: FloatArray  # DC-link voltage, NaN where unknown
-    winding: FloatArray  # temperature, degrees Celsius, NaN where unknown
-    magnet: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.angle)
-
-    @property
-    def turned(self) -> FloatArray:
-        return self.path[:, 0]
-
-    def part(self, selected: slice) -> _Stretch:
-        return _Stretch(*(getattr(self, field.name)[selected] for field in fields(self)))
-
-    def followed_by(self, other: _Stretch) -> _Stretch:
-        pairs = [(getattr(self, field.name), getattr(other, field.name)) for field in fields(self)]
-        return _Stretch(*(np.concatenate(pair) for pair in pairs))
-
-
 class WindowCutter:
     """Cuts a stream of samples into windows; the result does not depend on how the stream is divided.
 
@@ -237,13 +197,11 @@ class WindowCutter:
         self._shapes, self._segment = shapes, segment
         self.every = 1
         self._heating, self._drop_scale = 0.0, 1.0
-        self._path = np.zeros(2)  # at the last sample, rad and A^2 s, as what follows
-        self._sums = np.zeros(4, np.complex128)  # Vs, As, s and V^2 A s
-        self._lagged = np.zeros(len(LAGS), np.complex128)  # A
+        self._reached = Reached.nothing()
         self._run, self._recording, self._section = -1, 0, -1
         self._paused = -np.inf  # since when, ns; infinite before a recording
         self._gaps = 0.0  # s
-        self._rest: _Stretch | None = None  # samples that later windows need
+        self._rest: Stretch | None = None  # samples that later windows need
         self._period = 0.0
         self._origin = 0  # index of the rest's first sample within its run
         self._number = 0  # windows placed in the run
@@ -263,7 +221,7 @@ class WindowCutter:
         Default of these: those that were cut last.
         """
         self._time, self._recording, self._paused, self._gaps = time, recording, -np.inf, 0.0
-        self._path = self._path * [1.0, 0.0]
+        self._reached = replace(self._reached, path=self._reached.path * [1.0, 0.0])
         self._run, self._section = last or (self._run, self._section)
 
     def cut(self, samples: Samples, idle: BoolArray | None = None, *, continues: bool = False) -> Iterator[Terms]:
@@ -284,7 +242,7 @@ class WindowCutter:
                 self._rest = self._rest.followed_by(self._stretch(samples, idle, run, continues=True))
             else:
                 yield from self.finish()
-                self._rest, self._period = self._stretch(samples, idle, run, continues=False), samples.sample_period
+                self._rest, self._period = self._stretch(samples, idle, run), samples.sample_period
                 self._origin = self._number = 0
                 self._begin(samples.stamp[run.start])
             self._paused = float(samples.stamp[run.stop - 1])
@@ -303,7 +261,7 @@ class WindowCutter:
         for run in samples.runs():
             self._begin(samples.stamp[run.start])
             self._paused = float(samples.stamp[run.stop - 1])
-            stretch = self._stretch(samples, np.zeros(len(samples), np.bool_), run, continues=False)
+            stretch = self._stretch(samples, np.zeros(len(samples), np.bool_), run)
             every = np.arange(-_PAST[0], len(stretch) - length - _REACH, length)
             for begin in np.split(every, range(_ADJACENT, len(every), _ADJACENT)) if len(every) else ():
                 first = max(int(begin[0] + _PAST[0]) // grain - 1, 0) * grain
@@ -318,37 +276,9 @@ class WindowCutter:
         self._section += gap > _PAUSE
         self._gaps += gap if np.isfinite(gap) else 0.0
 
-    def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool) -> _Stretch:
-        """Return the new samples of a run with the quantities integrated over them."""
-        count, lags = run.stop - run.start, len(LAGS)
-        i_abc, before, i_s, u_s, i_dq, path, least = (np.empty((count, width)) for width in (3, 3, 2, 2, 2, 2, 2))
-        lagged, sums = np.empty((count, lags), np.complex128), np.zeros((count, 4), np.complex128)
-        path[0] = self._path if continues else self._path * [0.0, 1.0]
-        if continues:
-            lagged[0], sums[0] = self._lagged, self._sums
-        _follow(
-            samples.i_abc[run], samples.u_abc[run], samples.angle[run], samples.sample_period, frames.as_pairs(_AXES),
-            np.stack(_lag_weights(samples.sample_period)), not continues, i_abc, before, i_s, u_s, i_dq,
-            lagged.view(np.float64).reshape(count, lags, 2), sums.view(np.float64), path, least,
-        )  # fmt: skip
-        self._path, self._sums, self._lagged = path[-1].copy(), sums[-1].copy(), lagged[-1].copy()
-        new, later = slice(run.start + continues, run.stop), slice(int(continues), None)
-        return _Stretch(
-            i_abc=i_abc[later],
-            before=before[later],
-            i_s=_complex(i_s)[later],
-            u_s=_complex(u_s)[later],
-            i_dq=_complex(i_dq)[later],
-            angle=samples.angle[new],
-            idle=idle[new],
-            path=path[later],
-            sums=sums[later],
-            least=least[later],
-            lagged=lagged[later],
-            link=samples.or_unknown("dc_link_voltage")[new],
-            winding=samples.or_unknown("winding_temperature")[new],
-            magnet=samples.or_unknown("magnet_temperature")[new],
-        )
+    def _stretch(self, samples: Samples, idle: BoolArray, run: slice, *, continues: bool = False) -> Stretch:
+        stretch, self._reached = integrated(samples, idle, run, self._reached, continues=continues)
+        return stretch
 
     def finish(self) -> Iterator[Terms]:
         """Yield the last windows of a run."""
@@ -357,7 +287,7 @@ class WindowCutter:
             self._time += len(self._rest) * self._period
             self._rest = None
 
-    def _cut(self, stretch: _Stretch) -> Iterator[Terms]:
+    def _cut(self, stretch: Stretch) -> Iterator[Terms]:
         """Yield the windows that end within ``stretch``, the beginning of the rest; drop samples no longer needed."""
         assert self._rest is not None  # for the type checker
         begin, length = self._places(stretch)
@@ -380,7 +310,7 @@ class WindowCutter:
         self._rest, self._origin = self._rest.part(slice(past, None)), self._origin + past
         self._time += past * self._period
 
-    def _places(self, stretch: _Stretch) -> tuple[IntArray, IntArray]:
+    def _places(self, stretch: Stretch) -> tuple[IntArray, IntArray]:
         """Return the starts of the next windows within the stretch and their lengths in samples.
 
         Equally spaced starts can lock to the phase of a rotor-position harmonic at certain speeds; a golden-section
@@ -404,24 +334,24 @@ class WindowCutter:
         """Samples from one to the next over which the way of rotor and current is taken."""
         return max(1, round(_WAY_STEP / self._period))
 
-    def _integrated(self, stretch: _Stretch) -> tuple[FloatArray, FloatArray]:
+    def _integrated(self, stretch: Stretch) -> tuple[FloatArray, FloatArray]:
         """Integrate all shapes (G, S, 3), and coarse ones of the currents before (G, L, 3), up to each possible end."""
         period, grain = self._period, spacing(self._period)
         coarse = self._shapes.coarse.integrals(stretch.before[::grain], period * grain)
         return self._shapes.integrals(stretch.i_abc[::grain], period * grain), coarse
 
-    def _with_short(self, stretch: _Stretch, begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
+    def _with_short(self, stretch: Stretch, begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
         """Append the places of the short windows."""
         grain = spacing(self._period)
         turns = np.rint((end - begin) * (SHORT_ANGLE / WINDOW_ANGLE) / grain).astype(np.int64)
         sooner = begin + grain * np.maximum(turns, 1)
         current = np.maximum(np.abs(stretch.i_s[begin]), np.abs(stretch.i_s[sooner]))
         scales = self._shapes.scales
-        useful = (_clearance(stretch, begin, sooner) > scales[1]) | (current < scales[self._shapes.usual - 1])
+        useful = (stretch.clearance(begin, sooner) > scales[1]) | (current < scales[self._shapes.usual - 1])
         useful |= (self._origin + begin) // grain % _SOME == 0
         return np.append(begin, begin[useful]), np.append(end, sooner[useful])
 
-    def _terms(self, stretch: _Stretch, shapes: tuple[FloatArray, FloatArray], begin: IntArray, end: IntArray) -> Terms:
+    def _terms(self, stretch: Stretch, shapes: tuple[FloatArray, FloatArray], begin: IntArray, end: IntArray) -> Terms:
         period, grain, u_s = self._period, spacing(self._period), stretch.u_s
         ends = np.stack([begin, end], axis=1)
         shape, before = (x[end // grain] - x[begin // grain] for x in shapes)
@@ -449,7 +379,7 @@ class WindowCutter:
         )
 
     def _windows(
-        self, stretch: _Stretch, shapes: tuple[FloatArray, FloatArray], begin: IntArray, end: IntArray
+        self, stretch: Stretch, shapes: tuple[FloatArray, FloatArray], begin: IntArray, end: IntArray
     ) -> Windows:
         """Return these windows and, where segments are kept, short ones behind them."""
         period, grain, whole, i_dq = self._period, spacing(self._period), len(begin), stretch.i_dq
@@ -457,12 +387,12 @@ class WindowCutter:
             begin, end = self._with_short(stretch, begin, end)
         ends = np.stack([begin, end], axis=1)
         now = i_dq[ends[..., None] + _BESIDE] @ _CUBIC
-        decay, by_last, by_now = _lag_weights(period)
+        decay, by_last, by_now = lag_weights(period)
         lagged = decay * stretch.lagged[ends - 1] + by_last * i_dq[ends - 1, None] + by_now * now[..., None]
         first, last = int(begin.min()) // grain * grain, int(end.max()) + 1
         near, (one, other) = stretch.part(slice(first, last)), (ends - first).T
         rectified = self._rectified(near, shapes[0][first // grain : (last - 1) // grain + 1])
-        sensed = _sensed(near.i_abc, near.i_s, period, self._shapes.coarse.scales)
+        sensed = near.sensed(period, self._shapes.coarse.scales)
         return Windows(
             **vars(self._terms(stretch, shapes, begin, end)) | {"short": np.arange(len(begin)) >= whole},
             gaps=np.full(len(begin), self._gaps),
@@ -472,15 +402,15 @@ class WindowCutter:
             lagging=np.concatenate([now[..., None] - lagged, now[..., None]], axis=-1),
             turned=stretch.turned[ends],
             heat=stretch.path[begin, 1],
-            link=_link(near, period, one, other),
+            link=near.of_link(period, one, other),
             loaded=stretch.sums[end, 3] - stretch.sums[begin, 3],
             run=np.full(len(begin), self._run),
             recording=np.full(len(begin), self._recording),
             section=np.full(len(begin), self._section),
-            clearance=_clearance(stretch, begin, end),
+            clearance=stretch.clearance(begin, end),
         )
 
-    def _rectified(self, stretch: _Stretch, shape: FloatArray) -> FloatArray:
+    def _rectified(self, stretch: Stretch, shape: FloatArray) -> FloatArray:
         """Return the integrals (G, L + 1, 3), see :class:`Windows`, from those of all shapes (G, S, 3).
 
         Only in a step in which a current changes its sign, one of some hundred, are they too small.
@@ -490,146 +420,6 @@ class WindowCutter:
         charge = 0.5 * self._period * grain * (current[1:] + current[:-1])
         steps = np.concatenate([np.diff(self._shapes.coarse_of(shape), axis=0), charge[:, None]], axis=1)
         return np.concatenate([np.zeros((1, *steps.shape[1:])), np.cumsum(np.abs(steps), axis=0)])
-
-
-@compiled(
-    "const f8[:, ::1], const f8[:, ::1], const f8[::1], f8, const f8[:, ::1], const f8[:, ::1], b1, f8[:, ::1], "
-    "f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1], f8[:, :, ::1], f8[:, ::1], f8[:, ::1], f8[:, ::1]"
-)
-def _follow(
-    measured: FloatArray,
-    u_abc: FloatArray,
-    angle: FloatArray,
-    period: float,
-    axes: FloatArray,
-    weights: FloatArray,
-    first: bool,
-    i_abc: FloatArray,
-    before: FloatArray,
-    i_s: FloatArray,
-    u_s: FloatArray,
-    i_dq: FloatArray,
-    lagged: FloatArray,
-    sums: FloatArray,
-    path: FloatArray,
-    least: FloatArray,
-) -> None:
-    """Compute in one pass what windows need of the samples of a run; the first of ``sums`` and ``path`` are given.
-
-    If the drop steps from -D to D at a zero crossing that is t T earlier than linear interpolation between two samples
-    predicts, its integral increases by ``2 D t T``. The current has a kink at the step and the shapes round its corner,
-    so t is a few hundredths and about the same at all crossings. Each adds the vector of its phase, positive for a
-    rising current, times 2/3 of the sample period to the third of the sums.
-
-    Parameters
-    ----------
-    measured, u_abc : (N, 3) float
-        A, V.
-    angle : (N,) float
-        rad.
-    period : float
-        s.
-    axes : (3, 2) float
-        Vectors of the phases.
-    weights : (3, L) float
-        Weights of the last lagging, the last and the present current, see :func:`_lag_weights`.
-    first : bool
-        Whether a run begins: lagging currents then start at the current itself; otherwise they are given.
-    i_abc, before : (N, 3) float
-        Output: currents without their sum, which shift the zero crossings as those of two sensors do, and the same of
-        the sample before, turned with the rotor.
-    i_s, u_s, i_dq : (N, 2) float
-        Output: current and voltage in the stator frame, current in the rotor frame.
-    lagged : (N, L, 2) float
-        Output: i_dq after the lags.
-    sums : (N, 8) float
-        Output: see :class:`_Stretch`, as ``path`` and ``least``.
-    path, least : (N, 2) float
-    """
-    for k in range(len(angle)):
-        a, b, c = u_abc[k, 0], u_abc[k, 1], u_abc[k, 2]
-        u_s[k, 0], u_s[k, 1] = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD
-        a, b, c = measured[k, 0], measured[k, 1], measured[k, 2]
-        i_s[k, 0], i_s[k, 1], zero = (2.0 * a - b - c) * THIRD, (b - c) * ROOT_THIRD, (a + b + c) * THIRD
-        i_abc[k, 0], i_abc[k, 1], i_abc[k, 2] = a - zero, b - zero, c - zero
-        cosine, sine = math.cos(angle[k]), math.sin(angle[k])
-        i_dq[k, 0] = i_s[k, 0] * cosine + i_s[k, 1] * sine
-        i_dq[k, 1] = i_s[k, 1] * cosine - i_s[k, 0] * sine
-        last = max(k - 1, 0)
-        x = i_dq[last, 0] * cosine - i_dq[last, 1] * sine
-        y = (i_dq[last, 0] * sine + i_dq[last, 1] * cosine) * 1.5 * ROOT_THIRD
-        before[k, 0], before[k, 1], before[k, 2] = x, y - 0.5 * x, -y - 0.5 * x
-        least[k, 0] = least[k, 1] = min(abs(i_abc[k, 0]), abs(i_abc[k, 1]), abs(i_abc[k, 2]))
-        if k == 0:
-            continue
-        step = (angle[k] - angle[last]) / (2.0 * math.pi)
-        path[k, 0] = path[last, 0] + 2.0 * math.pi * (step - np.rint(step))
-        path[k, 1] = path[last, 1] + 2.0 * THIRD * period * (a * a + b * b + c * c)
-        x, y = 0.5 * period * (i_s[last, 0] + i_s[k, 0]), 0.5 * period * (i_s[last, 1] + i_s[k, 1])
-        energy = 1.5 * (u_s[last, 0] * x + u_s[last, 1] * y)
-        sums[k, 4], sums[k, 5] = sums[last, 4], sums[last, 5]
-        for phase in range(3):
-            if (i_abc[last, phase] < 0.0) != (i_abc[k, phase] < 0.0):
-                least[k, 1] = 0.0
-                if i_abc[last, phase] * i_abc[k, phase] < 0.0:
-                    rise = math.copysign(2.0 * THIRD * period, i_abc[k, phase])
-                    sums[k, 4] += rise * axes[phase, 0]
-                    sums[k, 5] += rise * axes[phase, 1]
-        sums[k, 0], sums[k, 1] = sums[last, 0] + period * u_s[last, 0], sums[last, 1] + period * u_s[last, 1]
-        sums[k, 2], sums[k, 3] = sums[last, 2] + x, sums[last, 3] + y
-        sums[k, 6], sums[k, 7] = sums[last, 6] + energy * u_s[last, 0], sums[last, 7] + energy * u_s[last, 1]
-    for lag in range(weights.shape[1]):
-        decay, by_last, by_now = weights[0, lag], weights[1, lag], weights[2, lag]
-        for axis in range(2):
-            if first:
-                lagged[0, lag, axis] = i_dq[0, axis]
-            for k in range(1, len(angle)):
-                driven = by_now * i_dq[k, axis] + by_last * i_dq[k - 1, axis]
-                lagged[k, lag, axis] = driven + decay * lagged[k - 1, lag, axis]
-
-
-def _clearance(stretch: _Stretch, begin: IntArray, end: IntArray) -> FloatArray:
-    """Return the smallest absolute value (N,) of a phase current from ``begin`` to ``end``, 0 if one crosses zero."""
-    within = np.minimum.reduceat(stretch.least[:, 1], np.stack([begin + 1, end + 1], axis=1).ravel())[::2]
-    return np.asarray(np.minimum(within, stretch.least[begin, 0]))
-
-
-def _sensed(i_abc: FloatArray, i_s: ComplexArray, period: float, scales: FloatArray) -> ComplexArray:
-    """Return the integrals (N, L, 5), see :class:`Windows`, from the first sample on."""
-    out, (pairs, axes) = np.zeros((len(i_abc), len(scales), 5, 2)), (frames.as_pairs(x) for x in (i_s, _AXES))
-    _integrate(i_abc, pairs, period, np.ascontiguousarray(scales), axes, out)
-    return _complex(out)
-
-
-@compiled("const f8[:, ::1], const f8[:, ::1], f8, const f8[::1], const f8[:, ::1], f8[:, :, :, ::1]")
-def _integrate(
-    i_abc: FloatArray, i_s: FloatArray, period: float, scales: FloatArray, axes: FloatArray, sensed: FloatArray
-) -> None:
-    """Integrate the slopes of the shapes, see :func:`_sensed`, of which the first are given.
-
-    A change x of the measured currents changes the integral of a shape h(i) by that of h'(i) x, where h' is its
-    difference quotient between two samples.
-    """
-    for k in range(1, len(i_abc)):
-        alpha, beta = 0.5 * (i_s[k - 1, 0] + i_s[k, 0]), 0.5 * (i_s[k - 1, 1] + i_s[k, 1])
-        for number in range(len(scales)):
-            for effect in range(5):
-                for axis in range(2):
-                    sensed[k, number, effect, axis] = sensed[k - 1, number, effect, axis]
-        for phase in range(3):
-            before, now = i_abc[k - 1, phase], i_abc[k, phase]
-            if before == now:
-                continue
-            cosine, sine = axes[phase, 0], axes[phase, 1]
-            moved = (
-                alpha * sine - beta * cosine, alpha * cosine - beta * sine, alpha * sine + beta * cosine, cosine, sine
-            )  # fmt: skip
-            for number in range(len(scales)):
-                rise = drop_shape(now / scales[number]) - drop_shape(before / scales[number])
-                share = 2.0 * THIRD * period * rise / (now - before)
-                for effect in range(5):
-                    sensed[k, number, effect, 0] += share * moved[effect] * cosine
-                    sensed[k, number, effect, 1] += share * moved[effect] * sine
 
 
 def interval(time: FloatArray, length: float) -> IntArray:
@@ -646,11 +436,6 @@ def kept_of(number: IntArray, every: int) -> BoolArray:
     return np.asarray(np.square(number, dtype=np.float64) * _GOLDEN % 1.0 < 1.0 / every)
 
 
-def _complex(pairs: FloatArray) -> ComplexArray:
-    """Return real and imaginary parts (..., 2) as complex numbers (...), without a copy."""
-    return pairs.view(np.complex128)[..., 0]
-
-
 def _length_of_way(x: FloatArray | ComplexArray, way: float, begin: IntArray, step: int) -> IntArray:
     """Return after how many samples (W,) from ``begin`` ``x`` (N,) has gone a way; more than N if it has not.
 
@@ -662,23 +447,3 @@ def _length_of_way(x: FloatArray | ComplexArray, way: float, begin: IntArray, st
     end = np.minimum(np.searchsorted(gone, wanted), len(rate))
     end -= (end > 0) & (gone[end] - wanted > wanted - gone[end - 1])  # the nearer one
     return np.where(wanted <= gone[-1], end - begin, 2 * len(x))
-
-
-def _link(stretch: _Stretch, period: float, begin: IntArray, end: IntArray) -> ComplexArray:
-    """Return int u_s u_dc (N,), V^2 s, NaN where the DC-link voltage is not known."""
-    unknown = np.cumsum(np.append(0, np.isnan(stretch.link)[:-1]))
-    link = period * np.cumsum(np.append(0j, (stretch.u_s * np.nan_to_num(stretch.link))[:-1]))
-    return np.where(unknown[end] == unknown[begin], link[end] - link[begin], np.nan)
-
-
-def _lag_weights(period: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the weights of the last lagging, the last and the present current; between samples it is linear."""
-    lags = np.array(LAGS)
-    decay = np.exp(-period / lags)
-    now = 1 - (1 - decay) * lags / period
-    return decay, 1 - decay - now, now
-
-
-def spacing(period: float) -> int:
-    """Return the samples, of a period in s, from one possible end of windows to the next; between, i is linear."""
-    return max(1, int(1.001 * _FINEST / period))

@@ -18,9 +18,10 @@ from synthetic import saturating_flux
 from drive_id.core import frames
 from drive_id.core.full.effects.columns import EffectColumns
 from drive_id.core.full.effects.link import RippleShape
+from drive_id.core.full.integrals import LAGS
 from drive_id.core.full.model import EFFECTS, RESISTANCE, VOLTAGE, FullModel
 from drive_id.core.full.winding_heat import WindingHeat
-from drive_id.core.full.windows import LAGS, WindowCutter, Windows
+from drive_id.core.full.windows import WindowCutter, Windows
 from drive_id.types import Samples
 
 I_MAX, RADIUS, R, PERIOD, SECONDS, SPEED, PAIRS = 330.0, 300.0, 0.02, 1e-4, 0.5, 209.0, 3

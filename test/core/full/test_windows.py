@@ -10,8 +10,8 @@ from scipy import signal
 from synthetic import record
 
 from drive_id.core import frames
+from drive_id.core.full.integrals import LAGS, Reached, integrated
 from drive_id.core.full.windows import (
-    LAGS,
     LONGEST_WINDOW,
     MEASURED,
     SHIFTS,
@@ -90,11 +90,10 @@ def test_one_pass_follows_the_samples(continues):
     """Against scipy's filter and numpy's unwrap, from the beginning of a run and from the middle of it."""
     part = record(duration=0.1, noise=0.5)
     part = dataclasses.replace(part, angle=np.angle(np.exp(1j * part.angle)))
-    cutter = WindowCutter(SHAPES)
-    first, idle = 300 if continues else 0, np.zeros(len(part), np.bool_)
+    first, idle, before = 300 if continues else 0, np.zeros(len(part), np.bool_), Reached.nothing()
     if continues:
-        cutter._stretch(part, idle, slice(0, first + 1), continues=False)
-    stretch = cutter._stretch(part, idle, slice(first, len(part)), continues=continues)
+        before = integrated(part, idle, slice(0, first + 1), before, continues=False)[1]
+    stretch = integrated(part, idle, slice(first, len(part)), before, continues=continues)[0]
     i_s, new, period = frames.space_vector(part.i_abc), slice(first + continues, None), part.sample_period
     i_dq = i_s * np.exp(-1j * part.angle)
     np.testing.assert_allclose(stretch.i_s, i_s[new], atol=1e-11)

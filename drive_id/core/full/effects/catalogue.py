@@ -25,7 +25,7 @@ from drive_id.core.full.effects.resolver import Eccentricity, EccentricRotor, Re
 from drive_id.core.full.effects.sensors import CurrentGains, CurrentOffset, CurrentRotation
 from drive_id.core.full.effects.skin import SkinEffect
 from drive_id.core.full.effects.timing import CurrentLatency, FluxLag, LateCompensation, Latency, LongFluxLag
-from drive_id.core.full.windows import LAGS
+from drive_id.core.full.integrals import LAGS
 
 CATALOGUE: dict[str, DriveEffect] = {
     effect.name: effect

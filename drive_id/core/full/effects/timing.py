@@ -10,7 +10,8 @@ import numpy as np
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported, between
-from drive_id.core.full.windows import EARLIEST, LAGS, MOST_DELAY, SHIFTS, Windows
+from drive_id.core.full.integrals import LAGS
+from drive_id.core.full.windows import EARLIEST, MOST_DELAY, SHIFTS, Windows
 from drive_id.types import TINY, FloatArray
 
 _EARLIEST = 0.8

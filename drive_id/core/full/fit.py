@@ -15,7 +15,7 @@ from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import HALF, Delay, DelayJump
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.lack_of_fit import LackOfFit
-from drive_id.core.full.linearized import DELAY, EffectSearch, FoundEffects
+from drive_id.core.full.linearized import DELAY, EffectSearch, FoundEffects, with_columns
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, effects_to_try, jump_left, select, tested_causes
 from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver, correct_attenuation
@@ -26,7 +26,7 @@ from drive_id.core.maps.flux_models import BasisRows, jacobian, positive_definit
 from drive_id.core.maps.inverter_curve import WIDE
 from drive_id.core.numerics.normal_equations import quadratic_forms
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.types import TINY, BoolArray, FloatArray
+from drive_id.types import TINY, FloatArray
 
 _SLOPE_STEP = 0.02
 """Relative to i_max, over which the slope of the drop is taken: wider than the noise, narrower than the step."""
@@ -143,10 +143,6 @@ class FullFit:
         both = columns[own]
         return in_map[:, own], (both, both - columns.T @ (found.variant.penalty @ columns))
 
-    def passive(self, i_dq: FloatArray) -> BoolArray:
-        """Tell (N,) where the symmetric part of the flux map's Jacobian at currents (N, 2), A, is positive definite."""
-        return positive_definite(jacobian(self.model.flux, self.solution.estimate[self.model.map], i_dq))
-
 
 @dataclass(frozen=True, eq=False)
 class EarlierFit:
@@ -185,10 +181,8 @@ def fit_again(sums: WindowSums, earlier: EarlierFit, noise: CurrentNoise) -> Ful
     model = replace(sums.model, orders=earlier.model.orders, cells=earlier.model.cells)
     if model.cells is not None or model.orders != sums.model.orders:
         sums = sums.over(model)
-    if earlier.moved:
-        sums = sums.changed(earlier.found.columns.moved)
     if earlier.extended:
-        sums = sums.with_effects(earlier.found.columns)
+        sums = with_columns(sums, earlier.found.columns, move=earlier.moved)
     solver = Solver.over(sums)
     plain = solver.solve(earlier.spec)
     search = EffectSearch(sums, solver, plain, earlier.found)

@@ -59,7 +59,7 @@ class EffectSearch:
 
     def linearized(self, sums: WindowSums) -> WindowSums:
         """Return other sums with the columns of the effects, and with currents in the map, as here."""
-        return _with_columns(sums, self.found.columns, move=self.sums.kept()[0].moved is not None)
+        return with_columns(sums, self.found.columns, move=self.sums.kept()[0].moved is not None)
 
 
 def first_columns(
@@ -106,7 +106,7 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
     best: EffectSearch | None = None
     columns = replace(columns, delay=spec.delay)
     for _ in range(_SETTLING):
-        extended = _with_columns(sums, columns, move=move)
+        extended = with_columns(sums, columns, move=move)
         solver = Solver.over(extended)
         found = EffectSearch(extended, solver, solver.solve(spec), FoundEffects(columns))
         change = -1.0 if best is None else found.solution.residual_rms / best.solution.residual_rms - 1.0
@@ -120,7 +120,8 @@ def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move
     return found
 
 
-def _with_columns(sums: WindowSums, columns: EffectColumns, *, move: bool) -> WindowSums:
+def with_columns(sums: WindowSums, columns: EffectColumns, *, move: bool) -> WindowSums:
+    """Return sums with the columns of effects; ``move``: over the currents in the map, see ``EffectColumns.moved``."""
     return (sums.changed(columns.moved) if move else sums).with_effects(columns)
 
 

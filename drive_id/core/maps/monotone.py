@@ -27,7 +27,7 @@ from drive_id.core.maps.support import Support
 from drive_id.core.numerics.normal_equations import solved
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.types import BoolArray, FloatArray, IntArray
+from drive_id.types import BoolArray, FloatArray
 
 DEGREE = 4  # of the co-energy: the inductances are continuous with their first derivatives
 FEWEST_POINTS = 8  # from which a map is fitted
@@ -57,7 +57,6 @@ class Convexity:
     """The constraints changed the map; otherwise the smooth map is convex with the same margin without them."""
     least_inductance: float  # no eigenvalue of the inductance matrix is smaller in the rectangle, H (a proven bound)
     residual_rms: float  # rms distance of the points from the map, Wb
-    free_residual_rms: float  # the same from the map without the constraints, Wb
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +115,6 @@ def fit_monotone(
     psi_dq: FloatArray,
     sigma: FloatArray | None = None,
     *,
-    mirrored: bool = False,
     reach: float = REACH,
     margin: float = MARGIN,
     smoothness: float | None = None,
@@ -132,9 +130,6 @@ def fit_monotone(
         Flux linkages, Wb.
     sigma : (N, 2) float, optional
         Standard errors of the fluxes, Wb, positive; points count with ``1 / sigma^2``. Default: all points alike.
-    mirrored : bool
-        The machine is symmetric about its d axis: ``psi_d(i_d, -i_q) = psi_d(i_d, i_q)``, and psi_q changes its sign.
-        The points then count on both sides, and the map covers both, also if the points are on one side only.
     reach : float
         The rectangle of the map exceeds that of the points, on each side, by ``reach - 1`` times their largest current
         amplitude. At least 1.
@@ -154,7 +149,7 @@ def fit_monotone(
     ConfigurationError
         When an option is out of range.
     """
-    points = _Points.checked(i_dq, psi_dq, sigma, mirrored=mirrored)
+    points = _Points.checked(i_dq, psi_dq, sigma)
     if not reach >= 1:
         raise ConfigurationError(f"reach is {reach}: the map must cover its points, give at least 1.")
     if not 0 < margin < 1:
@@ -175,7 +170,6 @@ def fit_monotone(
         active=active,
         least_inductance=forms.least_eigenvalue(w) * weber / ampere,
         residual_rms=weber * _rms(problem.at_points(w) - points.psi),
-        free_residual_rms=weber * _rms(problem.at_points(free) - points.psi),
     )
     space = GradientSpline(ampere * problem.space.d, ampere * problem.space.q, DEGREE)
     return MonotoneMap(space, weber * ampere * w, support, weight, convexity)
@@ -188,12 +182,11 @@ class _Points:
     i: FloatArray  # (N, 2)
     psi: FloatArray  # (N, 2)
     weights: FloatArray  # (N, 2), of mean 1
-    group: IntArray  # (N,), points with the same number are mirror images of each other
     ampere: float  # unit of the currents, A
     weber: float  # unit of the fluxes, Wb
 
     @classmethod
-    def checked(cls, i_dq: FloatArray, psi_dq: FloatArray, sigma: FloatArray | None, *, mirrored: bool) -> _Points:
+    def checked(cls, i_dq: FloatArray, psi_dq: FloatArray, sigma: FloatArray | None) -> _Points:
         i, psi = np.asarray(i_dq, np.float64), np.asarray(psi_dq, np.float64)
         error = np.ones_like(psi) if sigma is None else np.asarray(sigma, np.float64)
         if i.ndim != 2 or i.shape[1] != 2 or psi.shape != i.shape or error.shape != i.shape:
@@ -207,11 +200,6 @@ class _Points:
             )
         if len(i) < FEWEST_POINTS:
             raise DataError(f"A flux map cannot be made of {counted(len(i), 'point')}: give at least {FEWEST_POINTS}.")
-        group = np.arange(len(i))
-        if mirrored:
-            flip = np.array([1.0, -1.0])
-            i, psi = np.vstack([i, flip * i]), np.vstack([psi, flip * psi])
-            error, group = np.vstack([error, error]), np.tile(group, 2)
         ampere = float(np.hypot(*i.T).max())
         deviations = psi - psi.mean(axis=0)
         weber = _rms(deviations)
@@ -219,7 +207,7 @@ class _Points:
         if not (ampere > 0 and weber > 0 and spread[1] > 1e-6 * spread[0]):
             raise DataError("The points lie on a line of the current plane, or the flux is constant: no map follows.")
         weights = error**-2.0
-        return cls(i / ampere, psi / weber, weights / weights.mean(), group, ampere, weber)
+        return cls(i / ampere, psi / weber, weights / weights.mean(), ampere, weber)
 
     @cached_property
     def slope(self) -> float:
@@ -287,7 +275,7 @@ class _Problem:
     def errors(self, candidates: FloatArray) -> FloatArray:
         """Return the cross-validated errors of the unconstrained map for weights of the roughness."""
         normal, right = self._all
-        fold = np.random.default_rng(_SEED).permutation(int(self.points.group.max()) + 1)[self.points.group] % _FOLDS
+        fold = np.random.default_rng(_SEED).permutation(len(self.points.i)) % _FOLDS
         errors = np.zeros(len(candidates))
         for number in range(_FOLDS):
             left_out = fold == number

@@ -147,11 +147,10 @@ class McapOutput:
         time = self.entry.first or 0
         self.writer.add_attachment(time, time, name, media_type, data)
 
-    def flush(self, *, sync: bool = False) -> None:
-        """Hand everything written so far to the operating system, and wait for the disk if ``sync``."""
+    def flush(self) -> None:
+        """Write what is in memory and wait until all is on the disk."""
         self.writer.flush()  # type: ignore[no-untyped-call]
-        if sync:
-            self._stream.sync()
+        self._stream.sync()
 
     def finish(self, information: Mapping[str, Any], custom: Mapping[str, str] | None = None) -> None:
         """Complete the file, with the content of a ``metadata.yaml`` about it, and metadata ``drive_id``."""
@@ -277,20 +276,16 @@ class Rosbag2McapWriter:
             raise _refused(self.path, error) from error
         self._sequence[topic] += 1
 
-    def attach(self, name: str, data: bytes, media_type: str = "application/octet-stream") -> None:
+    def attach(self, name: str, data: bytes, media_type: str) -> None:
         """Add an attachment."""
         with _refusal(self.path):
             self._file.attach(name, data, media_type)
 
-    def flush(self, *, sync: bool = False) -> None:
-        """Hand everything written so far to the operating system, so that it survives the end of this process.
-
-        With ``sync``, wait until it is on the disk, so that it survives a power cut.
-        """
+    def flush(self) -> None:
+        """Wait until everything written so far is on the disk, so that it survives a power cut."""
         with _refusal(self.path):
-            self._file.flush(sync=sync)
-            if sync:
-                self._sync_names()
+            self._file.flush()
+            self._sync_names()
 
     def split(self) -> None:
         """Complete the file being written and continue in a new one."""

@@ -304,7 +304,7 @@ class RecordingSession:
                 return
             if time.monotonic() - flushed >= self._settings.flush_period - _POLL:
                 flushed = time.monotonic()  # what comes while the disk works waits for the next one
-                self._writer.flush(sync=True)
+                self._writer.flush()
                 if self._is_gone() or self._is_short():
                     return
 

@@ -112,7 +112,6 @@ def test_a_folded_map_becomes_the_nearest_monotone_one():
     found = fit_monotone(i, psi, smoothness=1e-8, cells=16)
     assert found.convexity.active
     assert_monotone(found, np.random.default_rng(7))
-    assert found.convexity.free_residual_rms < 0.1 * found.convexity.residual_rms
     best = isotonic_regression(fold).x
     least = rms((best - fold)[:, None])
     assert least <= found.convexity.residual_rms < 1.15 * least
@@ -127,7 +126,7 @@ def test_noise_on_a_saturated_machine_is_kept_from_folding_the_map():
     found = fit_monotone(i, psi, smoothness=1e-8, cells=12)
     assert found.convexity.active
     assert_monotone(found, rng)
-    assert found.convexity.free_residual_rms < found.convexity.residual_rms < 0.04
+    assert found.convexity.residual_rms < 0.04
     assert rms(found.psi(i) - machine.psi(i)) < 0.025
 
 
@@ -151,17 +150,6 @@ def test_beyond_the_data_slopes_do_not_rise_and_the_flux_stays_near(noise):
     assert (found.low <= -1.2 * radius).all()
     assert (found.high >= 1.2 * radius).all()
     assert rms(found.psi(far) - machine.psi(far)) < (0.05 + 3 * noise) * scale
-
-
-def test_mirrored_points_cover_the_other_side():
-    rng = np.random.default_rng(10)
-    machine = Machine(0.2, 1e-3, 0.5, 0.4, np.array([0.1, 0.0]), np.array([0.0, 0.15]))
-    i = np.abs(disc(rng, 20.0, 300)) * [-1, 1]
-    found = fit_monotone(i, machine.psi(i), mirrored=True, cells=12)
-    below = i * [1, -1]
-    np.testing.assert_allclose(found.psi(below), machine.psi(below), atol=5e-3)
-    np.testing.assert_allclose(found.psi(i)[:, 0], found.psi(below)[:, 0], atol=1e-9)
-    assert np.abs(found.psi(np.column_stack([i[:, 0], np.zeros(300)]))[:, 1]).max() < 1e-9
 
 
 def test_uncertain_points_count_less():

@@ -269,7 +269,7 @@ def test_damaged_truth(tmp_path):
             writer.add_topic(connection.topic, connection.msgtype)
         for connection, stamp, raw in reader.messages():
             writer.write(connection.topic, raw, stamp)
-        writer.attach("ground_truth.npz", b"PK no archive")
+        writer.attach("ground_truth.npz", b"PK no archive", "application/zip")
     refused(tmp_path / "bad", BagError, "ground truth attached to .* cannot be read")
 
 

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from judging import Figures, amperes, fitted, percent, predicted
-from rich.console import Console
+from reporting import printed
 
 from drive_id.bench.drive import Simulation
 from drive_id.bench.machine import default_amplitude
@@ -263,13 +263,9 @@ def main() -> None:
     parser.add_argument("--machines", type=Path, help="folder with the two machine files")
     parser.add_argument("--output", type=Path, help="page to write (Markdown)")
     options = parser.parse_args()
-    console = Console(width=150, highlight=False, markup=False)
-    lines = []
-    for line in page(options.only.split(",") if options.only else [], options.machines):
-        console.print(line, soft_wrap=True)
-        lines.append(line)
+    text = printed(page(options.only.split(",") if options.only else [], options.machines))
     if options.output:
-        options.output.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
+        options.output.write_text(text.rstrip() + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -33,9 +33,9 @@ class Cost:
         return Cost(min(self.elapsed, other.elapsed), min(self.cpu, other.cpu), min(self.memory, other.memory))
 
 
-def in_turns(actions: dict[str, Callable[[], Any]], repeats: int, warm_up: bool = True) -> dict[str, Cost]:
+def in_turns(actions: dict[str, Callable[[], Any]], repeats: int) -> dict[str, Cost]:
     """Run each action ``repeats`` times, in turns, after one run that does not count."""
-    return best_of({name: partial(timed, action) for name, action in actions.items()}, repeats, warm_up)
+    return best_of({name: partial(timed, action) for name, action in actions.items()}, repeats, warm_up=True)
 
 
 def best_of(measured: dict[str, Callable[[], Cost]], repeats: int, warm_up: bool = False) -> dict[str, Cost]:

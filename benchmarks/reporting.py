@@ -45,10 +45,9 @@ def faster(what: str, baseline: Cost, ours: Cost, goal: float | None = None) -> 
     return Row(what, seconds(baseline.elapsed), seconds(ours.elapsed), _times(ratio), _times(cpu), wanted)
 
 
-def smaller(what: str, baseline: Cost, ours: Cost, goal: float | None = None) -> Row:
+def smaller(what: str, baseline: Cost, ours: Cost) -> Row:
     """Compare peak memory."""
-    wanted = "" if goal is None else f"≤ 1/{goal:g}"
-    return Row(what, size(baseline.memory), size(ours.memory), f"1/{baseline.memory / ours.memory:.1f}", "", wanted)
+    return Row(what, size(baseline.memory), size(ours.memory), f"1/{baseline.memory / ours.memory:.1f}")
 
 
 def seconds(value: float) -> str:

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from judging import against, normalized_curve
 from population_drives import cross_talk
-from rich.console import Console
+from reporting import printed
 
 from drive_id.bench.drive import Simulation
 from drive_id.bench.machine import default_amplitude
@@ -284,15 +284,11 @@ def main() -> None:
     )
     parser.add_argument("--output", type=Path, help="page to write (Markdown)")
     options = parser.parse_args()
-    console = Console(width=150, highlight=False, markup=False)
-    start, lines = time.monotonic(), []
-    names = options.only.split(",") if options.only else list(EFFECTS)
-    for line in page(names, options.machines.split(",")):
-        console.print(line, soft_wrap=True)
-        lines.append(line)
-    console.print(f"Total: {time.monotonic() - start:.0f} s")
+    start, names = time.monotonic(), options.only.split(",") if options.only else list(EFFECTS)
+    text = printed(page(names, options.machines.split(",")))
+    print(f"Total: {time.monotonic() - start:.0f} s")
     if options.output:
-        options.output.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
+        options.output.write_text(text.rstrip() + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import random
 import signal
 import tempfile
 import time
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -79,6 +79,7 @@ class Hazard:
     stated: float  # time within which the measured current is zero, s
     faults: dict[str, Any] = field(default_factory=dict)  # parameters of the simulated drive
     act: str = ""  # name of a method of :class:`Cell` instead, and of what undoes it with ``un_`` before it
+    killed: str = ""  # name of a node that is killed instead, and started again to undo it
     reason: str = ""  # part of what the publisher says; empty if it need not trip
 
 
@@ -101,17 +102,17 @@ HAZARDS = {
     "second publisher sends references": Hazard(0.5, act="intrude", reason=" "),
     "overspeed": Hazard(0.6, act="overspeed", reason="above speed_max"),
     "client dies (lease)": Hazard(2.4, act="die", reason="no heartbeat"),
-    "publisher killed": Hazard(0.6, act="kill"),
+    "publisher killed": Hazard(0.6, killed=PUBLISHER),
     "publisher stopped (SIGSTOP)": Hazard(0.6, act="suspend", reason=" "),
-    "drive killed": Hazard(0.9, act="kill_drive", reason="Nothing has arrived"),
+    "drive killed": Hazard(0.9, killed=DRIVE, reason="Nothing has arrived"),
     "drive exchanged": Hazard(0.9, act="exchange", reason=" "),
     "second drive": Hazard(0.5, act="double", reason=" "),
 }
 OF_GOALS = {
     "goal cancelled": Hazard(0.5, act="cancel"),
-    "recorder killed": Hazard(_GOAL + _PATIENCE, act="kill_recorder"),
-    "identification killed": Hazard(_GOAL + _PATIENCE, act="kill_listener"),
-    "experiment killed": Hazard(2.4, act="kill_conductor"),
+    "recorder killed": Hazard(_GOAL + _PATIENCE, killed=RECORDER),
+    "identification killed": Hazard(_GOAL + _PATIENCE, killed=LISTENER),
+    "experiment killed": Hazard(2.4, killed=CONDUCTOR),
     "client dies (lease)": Hazard(2.4, act="die"),
 }
 """What can go wrong with goals besides."""
@@ -162,6 +163,10 @@ class Cell:
         self.heartbeat = self._own_beat = node.create_publisher(Empty, f"/{PUBLISHER}/heartbeat", 1)
         node.create_timer(0.2, lambda: self.leased and self.heartbeat.publish(Empty()))
         self.nodes: dict[str, NodeProcess] = {}
+        self._starts: dict[str, Callable[[], None]] = {
+            DRIVE: self.start_drive, PUBLISHER: self.start_publisher, LISTENER: self.start_listener,
+            RECORDER: self.start_recorder, CONDUCTOR: self.restart_conductor,
+        }  # fmt: skip
         self.start_drive()
         self.start_publisher()
 
@@ -205,25 +210,7 @@ class Cell:
         """Cancel the goal under way."""
         self.handle.cancel_goal_async()
 
-    def kill_recorder(self) -> None:
-        """Kill the recorder."""
-        self._end(RECORDER)
-
-    un_kill_recorder = start_recorder
-
-    def kill_listener(self) -> None:
-        """Kill the identification."""
-        self._end(LISTENER)
-
-    def un_kill_listener(self) -> None:
-        """Start it again."""
-        self.start_listener()
-
-    def kill_conductor(self) -> None:
-        """Kill the node that conducts."""
-        self._end(CONDUCTOR)
-
-    def un_kill_conductor(self) -> None:
+    def restart_conductor(self) -> None:
         """Start it again; a client finds it when its predecessor is forgotten, and by then the recording has ended."""
         self.start_conductor()
         self.graph.spin(_LINGERS)
@@ -307,7 +294,7 @@ class Cell:
         said = None
         while time.monotonic() < begin + _START:
             if self.behind > _BEHIND and time.monotonic() > tried + _CATCH_UP:
-                self.kill_drive()
+                self._end(DRIVE)
                 self.start_drive()
                 tried = time.monotonic()
             cleared = self.call("clear_fault")
@@ -325,11 +312,11 @@ class Cell:
 
     def revive(self) -> None:
         """Start a node again that ended because it heard nobody any more after it was held up."""
-        for name, start in ((DRIVE, self.start_drive), (PUBLISHER, self.start_publisher)):
+        for name in (DRIVE, PUBLISHER):
             if not self.nodes[name].alive and "hears nobody" in self.nodes[name].text:
                 self.nodes.pop(name)
                 self.graph.forget(name)
-                start()
+                self._starts[name]()
 
     def rested(self, since: float) -> float:
         """Wait for rest, and return the time since then at which the last current was measured, s."""
@@ -345,16 +332,20 @@ class Cell:
     def inject(self, hazard: Hazard) -> float:
         """Let something go wrong, and return when: for a fault of the drive, when it has confirmed it."""
         begin = time.monotonic()
-        if hazard.act:
+        if hazard.killed:
+            self._end(hazard.killed)
+        elif hazard.act:
             getattr(self, hazard.act)()
         else:
             self.set(DRIVE, **hazard.faults)
-        return begin if hazard.act and hazard.act != "double" else time.monotonic()
+        return begin if hazard.killed or hazard.act not in {"", "double"} else time.monotonic()
 
     def undo(self, hazard: Hazard) -> None:
         """Put it right again."""
         healthy = {"freeze": "none", "ignore_references": False, "trip": False, "restarts": 0}
-        if hazard.faults:
+        if hazard.killed:
+            self._starts[hazard.killed]()
+        elif hazard.faults:
             self.set(DRIVE, **{name: healthy.get(name, 0.0) for name in hazard.faults})
         elif hasattr(self, f"un_{hazard.act}"):
             getattr(self, f"un_{hazard.act}")()
@@ -405,30 +396,18 @@ class Cell:
         """Send no heartbeats any more."""
         self.leased = False
 
-    def kill(self) -> None:
-        """Kill the publisher."""
-        self._end(PUBLISHER)
-
-    un_kill = start_publisher
-
-    def kill_drive(self) -> None:
-        """Kill the drive."""
-        self._end(DRIVE)
-
-    un_kill_drive = start_drive
-
     def _end(self, name: str) -> None:
         self.nodes.pop(name).end(signal.SIGKILL)
         self.graph.forget(name)
 
     def exchange(self) -> None:
         """Kill the drive, and start one of another machine in its place."""
-        self.kill_drive()
+        self._end(DRIVE)
         self.start_drive("spm")
 
     def un_exchange(self) -> None:
         """Put the first one back."""
-        self.kill_drive()
+        self._end(DRIVE)
         self.start_drive()
 
     def double(self) -> None:
@@ -508,14 +487,18 @@ def react(cell: Cell, name: str, allowance: float = 0.0) -> float:
 
 def _makes_sense(cell: Cell, hazard: Hazard, done: dict[str, float]) -> bool:
     """Return whether a hazard can happen after what has been done, and when, and is one."""
-    over = [when for name, when in done.items() if (HAZARDS | OF_GOALS)[name].act in {"stop", "kill", "suspend"}]
-    if hazard.act in {"stop", "press", "suspend", "kill"} and PUBLISHER not in cell.nodes:
+    known = {name: (HAZARDS | OF_GOALS)[name] for name in done}
+    over = [done[name] for name, one in known.items() if one.act in {"stop", "suspend"} or one.killed == PUBLISHER]
+    if hazard.killed and hazard.killed not in cell.nodes:
+        return False
+    if hazard.act in {"stop", "press", "suspend"} and PUBLISHER not in cell.nodes:
         return False
     if (hazard.faults or hazard.act in {"overspeed", "exchange", "double"}) and DRIVE not in cell.nodes:
         return False
     if hazard.act == "intrude" and over:  # without a trip, or with nobody left who keeps others away
         return "drive restarts" not in done and time.monotonic() - min(over) < OWNED  # else the drive is free
-    return not ("publisher stopped (SIGSTOP)" in done and hazard.act in {"stop", "kill"})  # it does not answer
+    ends_publisher = hazard.act == "stop" or hazard.killed == PUBLISHER
+    return not ("publisher stopped (SIGSTOP)" in done and ends_publisher)  # it does not answer
 
 
 def _has_own_time(hazard: Hazard, done: dict[str, float]) -> bool:
@@ -526,7 +509,7 @@ def _has_own_time(hazard: Hazard, done: dict[str, float]) -> bool:
     tripped, brings it to zero.
     """
     free = bool(ANOTHER & set(done)) and hazard.act == "intrude"
-    return len(done) == 1 or free or hazard.act in {"kill", "suspend"} or "latency" in hazard.faults
+    return len(done) == 1 or free or hazard.act == "suspend" or hazard.killed == PUBLISHER or "latency" in hazard.faults
 
 
 def _can_be_told(done: Collection[str]) -> bool:

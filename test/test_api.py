@@ -244,14 +244,6 @@ def test_a_result_is_drawn(result, saved):
     assert (saved / "flux_map.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_result_is_not_saved_over_other_files(result, tmp_path):
-    (tmp_path / "notes").touch()
-    with pytest.raises(drive_id.DriveIdError, match="--force"):
-        result.save(tmp_path, draw=False)
-    result.save(tmp_path, force=True, draw=False)
-    assert drive_id.load(tmp_path).resistance == result.resistance
-
-
 def test_a_result_can_be_pickled(result):
     assert pickle.loads(pickle.dumps(result)).flux_map.psi_dq(10, 20) == result.flux_map.psi_dq(10, 20)
 

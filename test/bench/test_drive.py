@@ -6,12 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from bench_runs import IPM, PHASES, T, lissajous, run, wrapped
+from bench_runs import IPM, PHASES, T, lissajous, run
 
 from drive_id.bench.drive import Drive, Simulation, build_machine, simulate
 from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.bench.profile import SpeedProfile
 from drive_id.bench.settings import SimulationSettings
+from drive_id.core.frames import wrapped
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import MachineMap
 

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from bench_runs import IPM, PHASES, T, lissajous, run, wrapped
+from bench_runs import IPM, PHASES, T, lissajous, run
 from machine_kinds import co_energy
 from scipy.integrate import solve_ivp
 
@@ -20,6 +20,7 @@ from drive_id.bench.effects import effects_of
 from drive_id.bench.machines import MACHINES, CoEnergyMachine, machine_map
 from drive_id.bench.settings import BenchSettings, SimulationSettings
 from drive_id.cli.options import merged_settings
+from drive_id.core.frames import wrapped
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.types import MachineMap
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 
 import numpy as np
@@ -100,13 +99,3 @@ def test_bad_input_is_one_sentence(log, tmp_path, capsys, monkeypatch):
     assert "exists" in refused("convert", log, tmp_path / "bag", "--signals", tmp_path / "there.yaml")
     assert "is not a mapping" in refused("convert", log, tmp_path / "new", "--signals", tmp_path / "there.yaml")
     assert not (tmp_path / "new").exists()
-
-
-def test_neither_help_nor_the_package_loads_the_containers():
-    code = (
-        "import sys, drive_id\nfrom typer.testing import CliRunner\nfrom drive_id.cli.app import app\n"
-        "CliRunner().invoke(app, ['--help'])\nCliRunner().invoke(app, ['check', '--help'])\n"
-        "print(sorted({'pandas', 'pyarrow', 'asammdf', 'h5py', 'nptdms', 'rosbags'} & set(sys.modules)))"
-    )
-    said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
-    assert said.strip() == "[]"

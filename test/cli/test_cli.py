@@ -10,20 +10,21 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import fields, replace
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
 import typer
 import yaml
-from drive_bags import blocks_of, changed, renamed, with_arrays, wrapped, write_blocks
+from drive_bags import blocks_of, changed, renamed, with_arrays, write_blocks
 
 import drive_id
 from drive_id.cli import app as cli
 from drive_id.cli.options import merged_settings
 from drive_id.common.quantity import measured
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.frames import wrapped
 from drive_id.errors import OutputError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES
 from drive_id.files.write.writer import write_recording
@@ -462,18 +463,6 @@ def test_a_seed_makes_the_same_recording_again(run):
     assert first != other
 
 
-def test_several_bags_at_once(run, bag, simulation, tmp_path):
-    later = replace(simulation.samples, stamp=simulation.samples.stamp + 60_000_000_000)
-    write_recording(tmp_path / "later", replace(later, u_abc=1.0 * later.u_abc), simulation.truth, block_size=50)
-    ran = run("fit", bag, tmp_path / "later", "--output", "results", "--json", *JOINT)
-    assert ran.code == 0, ran.err
-    result = json.loads(ran.out)
-    assert result["metrics"]["samples_read"] == 2 * len(simulation.samples)
-    assert result["metrics"]["gaps"] == 1
-    assert {Path(entry["file"]).parent.name for entry in result["inputs"]} == {"bag", "later"}
-    assert result["metrics"]["nrmse_d"] is not None
-
-
 def test_a_signals_file_maps_the_bag_of_a_stranger(run, bag, simulation, tmp_path):
     """Currents in milliamperes and against their arrows, a mechanical angle, other names."""
     samples = simulation.samples
@@ -632,21 +621,6 @@ def test_every_command_can_be_quiet_and_speak_json():
     for name, command in typer.main.get_command(cli.app).commands.items():
         known = {option for parameter in command.params for option in parameter.opts}
         assert {"--json", "--quiet"} <= known, name
-
-
-def test_help_does_not_wait_for_the_numerics():
-    code = (
-        "import sys\nfrom drive_id.cli import app as cli\nsys.argv = ['drive-id', 'fit', '--help']\n"
-        "try:\n    cli.main()\nexcept SystemExit:\n    pass\n"
-        "heavy = {'numpy', 'scipy', 'numba', 'matplotlib', 'rosbags', 'mcap'} & set(sys.modules)\n"
-        "sys.exit(f'imported {heavy}' if heavy else 0)\n"
-    )
-    environment = os.environ | {"COLUMNS": "100"}  # names of options are cut in a narrow terminal
-    ran = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False, env=environment
-    )
-    assert ran.returncode == 0, ran.stderr
-    assert "--signals" in ran.stdout
 
 
 def test_a_terminal_without_unicode_is_served(bag):

@@ -30,9 +30,14 @@ def loaded(*arguments: object) -> set[str]:
     return modules
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["fit", "--help"], ["simulate", "--help"]])
+CONTAINERS = {"pandas", "pyarrow", "asammdf", "h5py", "nptdms"}
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--help"], ["--version"], ["fit", "--help"], ["simulate", "--help"], ["check", "--help"]]
+)
 def test_help_needs_no_numerics(arguments):
-    numerics = {"numba", "scipy", "matplotlib", "rosbags", "mcap", "yaml", "distributed"}
+    numerics = {"numba", "scipy", "matplotlib", "rosbags", "mcap", "yaml", "distributed"} | CONTAINERS
     assert not loaded(*arguments) & (numerics | ({"numpy"} if arguments[0] != "simulate" else set()))  # its settings
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from ros_bench import require_ros, ros_bench
+from ros_bench import ros_bench
 
 PUBLISHER = "drive_id.nodes.trajectory_publisher"
 RELIABLE, LATCHED, BEST_EFFORT = "reliable", "latched", "best effort"
@@ -11,7 +11,6 @@ RELIABLE, LATCHED, BEST_EFFORT = "reliable", "latched", "best effort"
 
 @pytest.fixture
 def ros():
-    require_ros()
     with ros_bench() as bench:
         yield bench
 

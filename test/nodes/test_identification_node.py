@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from ros_bench import require_ros
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError
@@ -37,11 +36,6 @@ def node(ros, bag):
     return ros.host(MODULE, parameters=parameters)
 
 
-@pytest.fixture(autouse=True, scope="module")
-def _ros_or_skip():
-    require_ros()
-
-
 def messages_of(path):
     """The serialized messages of a recording, by topic, in order."""
     with open_bag(path) as bag:
@@ -55,13 +49,12 @@ LOST = 30.0
 class Player:
     """Publishes serialized messages as a drive would."""
 
-    def __init__(self, ros, *, reliable=True, namespace=""):
+    def __init__(self, ros, *, namespace=""):
         from drive_id_msgs.msg import PhaseCurrents, PhaseVoltages, Resolver
 
-        from drive_id.nodes.support.qos import STREAM, STREAM_BEST_EFFORT
+        from drive_id.nodes.support.qos import STREAM
 
-        self.ros, self.namespace = ros, namespace
-        self.qos = STREAM if reliable else STREAM_BEST_EFFORT
+        self.ros, self.namespace, self.qos = ros, namespace, STREAM
         self.kinds = dict(zip(TOPICS, (PhaseCurrents, PhaseVoltages, Resolver), strict=True))
         self.publishers = {}
         self.open()
@@ -504,29 +497,6 @@ def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag
     assert value.double_value == I_MAX
 
 
-@pytest.mark.filterwarnings("ignore:Deprecated in favor of:DeprecationWarning")  # rclpy of Kilted in itself
-@pytest.mark.usefixtures("node")
-def test_best_effort_publishers_are_heard(ros, bag):
-    from drive_id_msgs.srv import Command
-
-    ros.call(Command, "/identification/reset")
-    player = Player(ros, reliable=False)
-    try:
-        player.wait_for_listeners()
-        messages = messages_of(bag)
-
-        def arrived():
-            ros.call(Command, "/identification/reset")
-            for at in range(0, len(messages), 15):
-                player.play(messages[at : at + 15])
-                ros.executor.spin_once(timeout_sec=0.002)
-            return identify(ros).report.samples_read > 1000
-
-        ros.wait(arrived, "samples by best effort")
-    finally:
-        player.close()
-
-
 @pytest.mark.process
 def test_the_shipped_parameters_load_and_a_fit_does_not_hold_up_the_end(ros, bag):
     """Splines of 32 x 32 keep the solver at work for a long time."""
@@ -553,14 +523,6 @@ def test_the_shipped_parameters_load_and_a_fit_does_not_hold_up_the_end(ros, bag
     assert process.interrupt()[0] == 0, process.output
     assert not results.exists()  # nobody waited for the fit
     assert "Traceback" not in process.output
-
-
-def test_without_i_max_live_samples_are_refused_with_a_remedy(ros, bag):
-    node = ros.host(MODULE, parameters={"data_directory": str(bag.parent)}, namespace="/third")
-    reply = identify(ros, name="/third/identification/identify")
-    assert reply.code == "configuration"
-    assert "i_max" in reply.message
-    node.end()
 
 
 @pytest.mark.parametrize(

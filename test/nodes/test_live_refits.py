@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from test_identification_node import I_MAX, MODULE, Diagnosis, Player, identify, messages_of
 
 
@@ -48,39 +47,5 @@ def test_the_map_is_there_before_anybody_asks_and_stops_with_the_samples(ros, ba
     assert np.nanmedian(off) < 1.0
     assert all(one.method == "joint" for one in maps)
     ros.wait(lambda: not maps[-1].provisional, "the requested map on the topic")
-    player.close()
-    process.end()
-
-
-@pytest.mark.slow  # a whole fit by the default method in the background
-def test_a_reply_by_method_full_is_that_of_the_bag_whatever_the_background_is_doing(ros, bag, fitted_in_full):
-    node = "/busy/identification"
-    process = start(ros, "/busy", method="full", refit_share=1.0)
-    with Diagnosis(ros, node) as diagnosis:
-        player = play(ros, "/busy", bag, diagnosis)
-        early = identify(ros, name=f"{node}/identify")
-        diagnosis.wait(lambda _, values: int(values.get("fit: samples", 0)) > 15_000, "a fit")
-    late = identify(ros, name=f"{node}/identify")
-    offline = fitted_in_full
-    for reply in (early, late):
-        assert reply.success, reply.message
-        assert reply.report.samples_read == 20_000
-        assert reply.flux_map.resistance == pytest.approx(offline.resistance, abs=0.2 * offline.sigma_resistance)
-        off = np.abs(np.array(reply.flux_map.psi_d) - offline.flux_map.psi_d.ravel())
-        assert np.nanmax(off / offline.flux_map.sigma_d.ravel()) < 0.5
-    player.close()
-    process.end()
-
-
-def test_without_a_share_nothing_is_fitted_until_somebody_asks(ros, bag):
-    node = "/idle/identification"
-    process = start(ros, "/idle", refit_share=0.0, provisional_map_period=0.1)
-    with Diagnosis(ros, node) as diagnosis:
-        player = play(ros, "/idle", bag, diagnosis)
-        heard = []
-        diagnosis.wait(lambda status, _: heard.append(status) or heard[-1] is not heard[0], "further diagnostics")
-        assert not any(key.startswith("fit:") for key in diagnosis.values)
-        assert identify(ros, name=f"{node}/identify").success
-        diagnosis.wait(lambda _, values: "fit: samples" in values, "the requested fit in the diagnostics")
     player.close()
     process.end()

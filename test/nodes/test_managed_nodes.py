@@ -7,7 +7,7 @@ from functools import partial
 
 import pytest
 from recorder_blocks import PERIOD, TOPICS
-from ros_bench import DEADLINE, require_ros, ros_bench
+from ros_bench import DEADLINE, ros_bench
 from test_recorder_node import Bench, change_state
 
 REQUESTS = 200
@@ -15,7 +15,6 @@ REQUESTS = 200
 
 @pytest.fixture
 def ros():
-    require_ros()
     with ros_bench() as bench:
         yield bench
 

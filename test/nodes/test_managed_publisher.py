@@ -17,7 +17,6 @@ NAME = "/trajectory_publisher"
 
 @pytest.fixture(scope="module")
 def ros():
-    require_ros()
     with ros_bench() as bench:
         simulator = bench.host("drive_id.nodes.bench_simulator", parameters={"use_sim_time": True})
         clock = SimulatedTime(bench)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from ros_bench import DEADLINE, require_ros, ros_bench
+from ros_bench import DEADLINE, ros_bench
 
 from drive_id.files.messages.block_codec import read_head
 
@@ -12,11 +12,6 @@ from drive_id.files.messages.block_codec import read_head
 def ros():
     with ros_bench() as bench:
         yield bench
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _ros_or_skip():
-    require_ros()
 
 
 def number_of(data):

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from live_drive import LiveDrive
-from ros_bench import require_ros, ros_bench
+from ros_bench import ros_bench
 from simulated_time import SECOND, SimulatedTime
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples"
@@ -19,8 +19,7 @@ ON_RECEIPT = 1.5
 @pytest.fixture(scope="module")
 def drive():
     """The publisher with the example as its drive."""
-    require_ros()
-    with pytest.MonkeyPatch.context() as patch, ros_bench() as ros:
+    with ros_bench() as ros, pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(EXAMPLES))
         given = {"i_max": 40.0, "lead_time": 2.0, "watch_timeout": 5.0}
         yield LiveDrive(ros, publisher=given, clock=SimulatedTime(ros), simulator="minimal_drive")

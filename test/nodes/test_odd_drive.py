@@ -6,7 +6,7 @@ import time
 
 import pytest
 from odd_drive import OddDrive
-from ros_bench import require_ros, ros_bench
+from ros_bench import ros_bench
 
 FIRST, SECOND = "emergency_stop", "second_stop"
 ALLOWANCE = 1.5
@@ -15,7 +15,6 @@ ALLOWANCE = 1.5
 
 @pytest.fixture(scope="module")
 def shared():
-    require_ros()
     with ros_bench() as ros:
         yield OddDrive(ros, emergency_stops=[FIRST, SECOND])
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 import yaml
 from recorder_blocks import PERIOD, START, TOPICS, block
-from ros_bench import DEADLINE, require_ros, ros_bench
+from ros_bench import DEADLINE, ros_bench
 from rosbags.rosbag2 import Reader
 
 from drive_id.files.read.several import read_recording
@@ -23,11 +23,6 @@ from drive_id.live.recording.recording_settings import RecordingSettings
 
 CONFIG = Path(__file__).parent.parent.parent / "config" / "recorder.yaml"
 MODULE = "drive_id.nodes.recorder"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _ros_or_skip():
-    require_ros()
 
 
 @pytest.fixture
@@ -261,16 +256,6 @@ def test_publishers_that_do_not_fit_are_named(ros, stranger):
     assert qos["/phase_currents"] == "RELIABLE"
     stranger.destroy_publisher(wrong)
     recorder.wait_for_status("Not recording. /test_bench offers /resolver", 1)
-
-
-def test_a_best_effort_publisher_that_comes_later(ros):
-    recorder = Recorder(ros)
-    assert recorder.start("bag").success
-    bench = Bench(ros, best_effort={topic.name for topic in TOPICS})
-    bench.wait_for_listeners()
-    bench.publish(3)
-    recorder.wait_for_samples(phase_currents=300, phase_voltages=300, resolver=300, current_reference=300)
-    assert recorder.stop().dropped == 0
 
 
 def test_an_optional_signal_that_joins_a_running_recording(ros):

@@ -23,7 +23,3 @@ def lissajous(i_max: float, count: int) -> np.ndarray:
 def run(count: int = 2000, source: MachineMap = IPM, **settings: object) -> Simulation:
     chosen = SimulationSettings(**settings)  # type: ignore[arg-type]
     return simulate(source, chosen, lissajous(build_machine(source, chosen).i_max, count))
-
-
-def wrapped(angle: np.ndarray) -> np.ndarray:
-    return np.angle(np.exp(1j * angle))

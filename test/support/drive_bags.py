@@ -79,10 +79,6 @@ def changed(path: Path, samples: Samples, change: Callable[[Blocks], object]) ->
     return write_blocks(path, blocks)
 
 
-def wrapped(angle: np.ndarray) -> np.ndarray:
-    return np.angle(np.exp(1j * angle))
-
-
 def with_arrays(samples: Samples, **arrays: np.ndarray) -> Samples:
     """Replace signals and forget the references, as a stranger's recording has none."""
     return replace(samples, i_dq_reference=None, **arrays)

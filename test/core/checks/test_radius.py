@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import re
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +11,6 @@ from synthetic import record
 from drive_id.bench.drive import simulate
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
-from drive_id.cli import app as cli
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.prescan import Prescan
@@ -77,26 +73,6 @@ def test_what_was_reached_is_merged_and_stored():
     restored = Evidence.within(settings, 300.0)
     restored.restore(one.state())
     assert restored.reached == one.reached == pytest.approx(100.0, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("i_max", "code", "said"),
-    [
-        (50, 1, r"i_max is 50 A but the recording reaches \d+ A: .* set i_max to \d+ A\."),
-        (600, 0, r"i_max is 600 A but the currents reach only \d+ A: the map would cover only 2\d % of the disc, .*\."),
-    ],
-)
-def test_drive_id_fit_says_so(bag, tmp_path, monkeypatch, capfd, i_max, code, said):
-    command = ["drive-id", "fit", bag, "--method", "joint", "--i-max", i_max, "--output", tmp_path / "out"]
-    monkeypatch.setattr(sys, "argv", [*map(str, command)])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    out, err = capfd.readouterr()
-    assert int(ended.value.code or 0) == code, err
-    assert re.search(said, re.sub(r"\s+", " ", err + out)), err + out
-    if not code:
-        warnings = json.loads((tmp_path / "out" / "identification.json").read_text())["warnings"]
-        assert any(re.fullmatch(said, text) for text in warnings)
 
 
 def test_prepared_evidence_knows_what_was_reached(samples):

@@ -245,24 +245,17 @@ def test_groups_hold_all_windows_once(model, samples, monkeypatch, most):
         assert np.mean([len(columns) for _, columns in groups]) < np.mean(before)
 
 
-def test_prompt_products_leave_nothing_to_a_snapshot(free, samples):
-    later, prompt = WindowSums(free), WindowSums(free)
+def test_pieces_make_no_difference(model, samples):
+    """Prompt products leave nothing to a snapshot."""
+    whole, later, prompt = gathered(model, samples), WindowSums(model), WindowSums(model)
     for start in range(0, len(samples) - 1, 3001):
         piece = between(samples, max(start - 1, 0), start + 3001)
         later.add(piece, continues=start > 0)
         prompt.add(piece, continues=start > 0, prompt=True)
     assert later._due
     assert not prompt._due
-    np.testing.assert_allclose(prompt.finished().folds, later.finished().folds, rtol=1e-9, atol=1e-9)
-
-
-def test_pieces_make_no_difference(model, samples):
-    information = WindowSums(model)
-    for start in range(0, len(samples) - 1, 3001):
-        piece = between(samples, max(start - 1, 0), start + 3001)
-        information.add(piece, continues=start > 0)
-    whole, parts = gathered(model, samples), information.finished()
-    np.testing.assert_allclose(parts.folds, whole.folds, rtol=1e-9, atol=1e-9)
+    for parts in (later, prompt):
+        np.testing.assert_allclose(parts.finished().folds, whole.folds, rtol=1e-9, atol=1e-9)
 
 
 def test_a_snapshot_leaves_the_stream_alone(model, samples):

@@ -66,15 +66,6 @@ def test_a_loss_in_any_signal_is_a_gap(which):
     assert result.report.warnings[0].values["time_lost"] == pytest.approx(1e-3)
 
 
-def test_partners_belong_to_the_same_instant_after_losses():
-    signals = three()
-    signals[1] = cut(signals[1], np.r_[0:300, 301:1000])
-    signals[2] = cut(signals[2], np.r_[0:600, 650:1000])
-    samples = join(*signals).samples
-    np.testing.assert_array_equal(samples.i_abc[:, 0], samples.u_abc[:, 0])
-    np.testing.assert_array_equal(samples.i_abc[:, 0], samples.speed)
-
-
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_no_window_spans_a_gap(data):

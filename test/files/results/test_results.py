@@ -183,15 +183,6 @@ def test_earlier_results_are_replaced_and_other_files_stay(written, fitted):
     assert sorted(path.name for path in written.iterdir()) == ["flux_map.npz", "identification.json", "notes.txt"]
 
 
-def test_a_result_is_read_as_it_was_written(written, fitted, tmp_path):
-    drive, provenance = read_results(written)
-    write_results(tmp_path / "again", drive, provenance)
-    for name in ("identification.json", "flux_map.npz"):
-        assert (tmp_path / "again" / name).read_bytes() == (written / name).read_bytes()
-    assert drive.report.condition == fitted.drive.report.condition
-    assert (provenance.settings, provenance.inputs) == (fitted.provenance.settings, fitted.provenance.inputs)
-
-
 def test_what_is_unknown_is_read_as_unknown(fitted, tmp_path):
     report = replace(fitted.drive.report, mad_d=np.nan, condition=np.inf)
     write_results(
@@ -435,15 +426,6 @@ def test_a_kill_leaves_the_old_or_the_new(written, fitted, tmp_path):
         [sys.executable, "-c", KILLS, tmp_path, "100"], capture_output=True, text=True, timeout=120, check=False
     )
     assert (ran.stdout.strip(), ran.returncode) == ("2", 0), ran.stderr
-
-
-def test_a_mixed_folder_is_refused(written, fitted, tmp_path):
-    write_results(tmp_path / "two", replace(fitted.drive, resistance=5.0), replace(fitted.provenance, u_dc=123.0))
-    (tmp_path / "two" / "flux_map.npz").replace(written / "flux_map.npz")
-    with pytest.raises(
-        ResultError, match=r"flux_map\.npz was not written with its identification\.json, as after a kill"
-    ):
-        read_results(written)
 
 
 def test_a_folder_in_the_way_of_a_file(tmp_path):

@@ -17,7 +17,7 @@ from drive_id.core.maps.coverage import Visits, disc_coverage
 from drive_id.core.result.identify import identify
 from drive_id.core.signals.join import Piece, joined
 from drive_id.core.signals.signal import Signal
-from drive_id.errors import ConfigurationError, CoverageError, DataError, DriveIdError, EmptyTopicError
+from drive_id.errors import ConfigurationError, DataError, EmptyTopicError
 from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
@@ -185,35 +185,6 @@ def test_memory_does_not_grow(samples, monkeypatch):
     assert live.snapshot().conclude().drive.report.gaps == 2
 
 
-def spoiled(samples):
-    rng = np.random.default_rng(0)
-    zero = np.zeros(len(samples))
-    spike = samples.i_abc.copy()
-    spike[7000] = 1e6, -5e5, -5e5
-    jump = samples.angle.copy()
-    jump[7000:] += 2.0
-    yield replace(samples, angle=jump)
-    yield replace(samples, speed=zero, angle=zero)
-    yield replace(samples, speed=samples.speed / 4)
-    yield replace(samples, angle=-samples.angle)
-    yield replace(samples, i_abc=rng.normal(size=samples.i_abc.shape))
-    yield replace(samples, i_abc=spike)
-    yield replace(samples, u_abc=np.zeros_like(samples.u_abc))
-    yield replace(samples, i_abc=samples.i_abc * 0.01)
-
-
-def test_live_samples_get_the_errors_of_recorded_ones(samples):
-    for wrong in spoiled(samples):
-        with pytest.raises(DriveIdError) as expected:
-            identify([wrong], SETTINGS)
-        live = LiveEvidence(SETTINGS)
-        feed(live, wrong)
-        snapshot = live.snapshot()
-        with pytest.raises(type(expected.value)) as found:
-            snapshot.conclude()
-        assert str(found.value) == str(expected.value)
-
-
 @pytest.mark.parametrize("method", ["joint", "full"])
 def test_a_jump_of_the_resolver_is_refused_on_every_way_in(samples, tmp_path, method):
     """Live it was once accepted."""
@@ -234,17 +205,6 @@ def test_a_jump_of_the_resolver_is_refused_on_every_way_in(samples, tmp_path, me
         with pytest.raises(DataError, match=r"jumps in 1 place, the first at 0\.700000 s by 2\.00 rad") as found:
             way()
         assert type(found.value) is DataError
-
-
-def test_an_i_max_far_from_the_live_currents_is_named(samples):
-    live = LiveEvidence(replace(SETTINGS, i_max=50.0))
-    feed(live, samples)
-    with pytest.raises(CoverageError, match=r"i_max is 50 A but the recording reaches 300\.\d A"):
-        live.snapshot().conclude()
-    live = LiveEvidence(replace(SETTINGS, i_max=600.0))
-    feed(live, samples)
-    warnings = live.snapshot().conclude().drive.report.warnings
-    assert any("i_max is 600 A but the currents reach only 300" in text for text in warnings)
 
 
 def test_a_new_i_max_that_the_sums_resolve_keeps_the_samples(samples):

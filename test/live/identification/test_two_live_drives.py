@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drive_bags import TOPICS, blocks_of
-from synthetic import reciprocal_flux, record
+from synthetic import record
 
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.same_drive import magnet_flux
 from drive_id.errors import ConfigurationError, DriveChangedError
 from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
@@ -124,35 +123,6 @@ def test_two_drives_at_once_give_no_map(identifier, drives):
     assert not asked(identifier, "after").success
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_no_script_of_changes_ends_in_one_map_of_two_drives(identifier, drives, seed):
-    """Whatever is restarted, exchanged, late or repeated: a map is of one drive, and its samples are of no other."""
-    rng = np.random.default_rng(seed)
-    now, changed = "first", False
-    count, later, frame = 0, 0.0, "drive"
-    number = 0
-    while number < 150:
-        length = int(rng.integers(20, 80))
-        play(identifier, drives[now], range(number, min(number + length, 150)), count=count, later=later, frame=frame)
-        if rng.random() < 0.3:
-            play(identifier, drives[now], [min(number + length, 150) - 1], count=count, later=later, frame=frame)
-        number += length
-        if number < 150 and rng.random() < 0.7:
-            changed = True
-            now = "second" if now == "first" else "first"
-            sign = rng.integers(3)
-            first = drives[now][0][number]["first"]
-            count = -first if sign == 0 else count + (500_000 if sign == 1 else 0)
-            frame = f"drive {number}" if sign == 2 else frame
-    live = identifier.live
-    if changed:
-        with pytest.raises(DriveChangedError):
-            identifier.job((), "")
-    else:
-        assert live.join.samples > 0
-        assert asked(identifier).success
-
-
 def test_settings_reach_both_parts(identifier, drives):
     play(identifier, drives["first"], range(60))
     play(identifier, drives["second"], range(60), later=2.0)
@@ -164,37 +134,3 @@ def test_settings_reach_both_parts(identifier, drives):
         identifier.job((), "")
     assert identifier.configure(replace(identifier.live.settings, i_max=100.0))
     identifier.job((), "")  # all are forgotten
-
-
-def stronger(i_dq):
-    return 1.2 * reciprocal_flux(i_dq)
-
-
-FULL = {
-    "restarted": (0.010, reciprocal_flux, 0.0800),
-    "double": (0.020, reciprocal_flux, 0.0800),
-    "more": (0.0115, reciprocal_flux, 0.0800),
-    "other": (0.010, stronger, 0.0960),
-}  # resistance, ohm, flux, and that of the magnet, Wb
-
-
-@pytest.fixture(scope="module")
-def first_of_full():
-    return list(blocks_of(record(reciprocal_flux, resistance=0.01, duration=1.5, noise=0.02)).values())
-
-
-@pytest.mark.cases
-@pytest.mark.parametrize("other", FULL)
-def test_method_full_gives_a_map_of_each_part_and_none_of_both(tmp_path, first_of_full, other):
-    resistance, flux, magnet = FULL[other]
-    second = blocks_of(record(flux, resistance=resistance, duration=1.5, noise=0.02, seed=1)).values()
-    settings = IdentificationSettings(output_directory=str(tmp_path), refit_share=0.0)
-    identifier = Identifier(settings, FitSettings("full", i_max=300.0), tuple(TOPICS))
-    play(identifier, first_of_full, range(150))
-    play(identifier, list(second), range(150), later=4.0)
-    with pytest.raises(DriveChangedError):
-        identifier.job((), "")
-    for part, true in (("before", (0.01, 0.08)), ("after", (resistance, magnet))):
-        found = asked(identifier, part).identification
-        assert (found.resistance, magnet_flux(found.flux_map)[0]) == pytest.approx(true, rel=2e-3)
-        assert found.report.samples_read == 15_000

@@ -5,12 +5,11 @@ from __future__ import annotations
 import shutil
 import struct
 import time
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError
@@ -20,7 +19,6 @@ from drive_id.fitting.fit import fit_bags
 from drive_id.fitting.result import load
 from drive_id.fitting.sources import Sources
 
-CONFIG = Path(__file__).parent.parent.parent / "config"
 MODULE = "drive_id.nodes.identification"
 TOPICS = ("/phase_currents", "/phase_voltages", "/resolver")
 I_MAX = 300.0
@@ -498,22 +496,16 @@ def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag
 
 
 @pytest.mark.process
-def test_the_shipped_parameters_load_and_a_fit_does_not_hold_up_the_end(ros, bag):
+def test_a_fit_does_not_hold_up_the_end(ros, bag):
     """Splines of 32 x 32 keep the solver at work for a long time."""
     from drive_id_msgs.srv import Identify
 
-    tree = yaml.safe_load((CONFIG / "identification.yaml").read_text())["/**"]["ros__parameters"]
-    assert set(FitSettings.__dataclass_fields__) <= set(tree)
-    plain = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(FitSettings()).items()}
-    defaults = {name: value for name, value in plain.items() if value is not None}
-    assert {name: tree[name] for name in defaults} == defaults
     results = ros.folder / "results_of_other"
     parameters = {
         "data_directory": str(bag.parent), "output_directory": str(results), "splines_d": 32, "splines_q": 32,
         "i_max": I_MAX, "method": "joint",
     }  # fmt: skip
-    files = (CONFIG / "identification.yaml",)
-    process = ros.start(MODULE, parameters=parameters, files=files, namespace="/other")
+    process = ros.start(MODULE, parameters=parameters, namespace="/other")
     future = ros.call_async(Identify, "/other/identification/identify", bags=[bag.name])
     with Diagnosis(ros, "/other/identification") as diagnosis:
         diagnosis.wait(lambda status, _: "Solving" in status.message, "the solver")

@@ -10,8 +10,8 @@ import pytest
 from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full import selection
-from drive_id.core.full.selection import explained_shares, unexpected_orders
+from drive_id.core.full import order_search
+from drive_id.core.full.order_search import explained_shares, unexpected_orders
 from drive_id.core.result.identify import gather, identify, score
 from drive_id.fitting.simulated import run_experiment
 
@@ -40,7 +40,7 @@ def with_harmonic(model, orders, amplitude):
 
 def test_a_share_is_that_of_the_residual(windows, monkeypatch):
     """A residual of one harmonic alone is explained by that one, and by no other."""
-    monkeypatch.setattr(selection, "HIGHEST_ORDER", 24)
+    monkeypatch.setattr(order_search, "HIGHEST_ORDER", 24)
     residual = with_harmonic(windows.model, [12], 0.01)
     shares = explained_shares(windows.model, residual, windows.kept())
     assert shares[11] == pytest.approx(1.0, abs=1e-9)
@@ -58,7 +58,7 @@ def test_no_order_shows_as_another_because_windows_are_left_out(windows, monkeyp
 
 
 def test_the_strongest_comes_first(windows, monkeypatch):
-    monkeypatch.setattr(selection, "HIGHEST_ORDER", 30)
+    monkeypatch.setattr(order_search, "HIGHEST_ORDER", 30)
     model = windows.model
     residual = with_harmonic(model, [6], 0.01) + with_harmonic(model, [18], 0.02)
     assert unexpected_orders(model, residual, windows.kept(), ()) == (18, 6)

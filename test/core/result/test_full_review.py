@@ -12,7 +12,7 @@ from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.full.selection import distinct_orders
+from drive_id.core.full.order_search import distinct_orders
 from drive_id.core.result.identify import identify, score
 from drive_id.fitting.simulated import run_experiment
 

@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from typing import NamedTuple
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores: more threads of a fit or of BLAS only wait
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy is loaded
@@ -20,6 +22,7 @@ from store import open_store
 import drive_id
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
+from drive_id.cli import app as cli
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.planning import planner
 from drive_id.files.write.writer import write_recording
@@ -136,6 +139,32 @@ def place_of(nodeid):
 
 def group_of(nodeid):
     return next((group for start, group in GROUPS.items() if nodeid.startswith(start)), "")
+
+
+class Ran(NamedTuple):
+    """What a command ended with and printed."""
+
+    code: int
+    out: str
+    err: str
+
+
+@pytest.fixture
+def run(monkeypatch, capfd, tmp_path):
+    """Run the command line in this process, from an empty folder."""
+    (tmp_path / "system_tmp").mkdir()
+    (tmp_path / "work").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "system_tmp"))
+    monkeypatch.chdir(tmp_path / "work")
+
+    def run(*arguments: object) -> Ran:
+        monkeypatch.setattr(sys, "argv", ["drive-id", *map(str, arguments)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        return Ran(int(ended.value.code or 0), *capfd.readouterr())
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -15,7 +15,6 @@ from drive_bags import TRAJECTORY
 from machine_kinds import inductances
 
 import drive_id
-from drive_id.cli import app as cli
 from drive_id.core.validation.metrics import nrmse
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import accumulate_bags
@@ -74,11 +73,8 @@ def test_all_public_names_are_there():
 
 
 @pytest.mark.slow  # two fits by the default method
-def test_fit_and_the_command_line_give_the_same_numbers(bag, result, tmp_path, monkeypatch):
-    monkeypatch.setattr(sys, "argv", ["drive-id", "fit", str(bag), "--output", str(tmp_path / "out"), "--quiet"])
-    with pytest.raises(SystemExit) as end:
-        cli.main()
-    assert not end.value.code
+def test_fit_and_the_command_line_give_the_same_numbers(bag, result, run, tmp_path):
+    assert run("fit", bag, "--output", tmp_path / "out", "--quiet").code == 0
     drive_id.fit(str(bag), output=tmp_path / "mine")
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == sorted(path.name for path in (tmp_path / "mine").iterdir())

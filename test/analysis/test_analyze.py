@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +16,6 @@ from drive_id.analysis.field_weakening import DriveLimits
 from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.ripple import TorqueRipple
 from drive_id.bench.machines import MACHINES, machine_map
-from drive_id.cli import app as cli
 from drive_id.core.maps.flux_map import HarmonicMap
 from drive_id.errors import ConfigurationError, DataError, OutputError, ResultError
 
@@ -282,31 +280,19 @@ def test_maps_that_cannot_be_meant_are_refused(result):
             drive_id.analyze(wrong, SMALL)
 
 
-@pytest.fixture
-def run(monkeypatch, capsys):
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["drive-id", "analyze", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return int(end.value.code or 0), *capsys.readouterr()
-
-    return run
-
-
 @pytest.mark.slow  # a whole analysis
 def test_the_command_writes_what_the_object_does(result, folder, run, tmp_path):
     result.save(tmp_path / "result", draw=False)
-    small = [
-        f"--set={name}={value}" for name, value in (("current_points", 5), ("torque_points", 2), ("speed_points", 4))
-    ]
-    code, out, err = run(tmp_path / "result", "--output", tmp_path / "out", "--u-dc", "540", *small, "--json")
+    small = ("--set=current_points=5", "--set=torque_points=2", "--set=speed_points=4")
+    command = ("analyze", tmp_path / "result", "--output", tmp_path / "out", *small)
+    code, out, err = run(*command, "--u-dc", "540", "--json")
     assert (code, err) == (0, "")
     assert json.loads(out) == json.loads((tmp_path / "out" / "analysis.json").read_text())
     for name in ("mtpa.csv", "torque_speed.csv", "compensation.csv"):
         mine, own = table(tmp_path / "out" / name), table(folder / name)
         for column in own.keys() - {"limit"}:
             assert mine[column] == pytest.approx(own[column], rel=1e-6, abs=1e-9, nan_ok=True), (name, column)
-    code, out, _ = run(tmp_path / "result", "--output", tmp_path / "out", *small)
+    code, out, _ = run(*command)
     assert code == 0
     for word in ("corner speed", "rpm", "max torque", "Written to"):
         assert word in out
@@ -322,7 +308,7 @@ def test_the_command_refuses_bad_input_in_one_sentence(result, run, tmp_path):
         ((tmp_path / "nothing", "--output", out), "is not a result folder"),
         ((tmp_path / "unknown", "--output", tmp_path), "not results of drive_id"),
     ):
-        code, _, err = run(*arguments)
+        code, _, err = run("analyze", *arguments)
         assert code == 1
         assert words in " ".join(err.split())
         assert "Traceback" not in err

@@ -8,10 +8,10 @@ import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from dataclasses import fields
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -38,29 +38,6 @@ JOINT = ("--method", "joint")
 """Where the method is not the point: a fit in a tenth of the time."""
 
 
-class Ran:
-    def __init__(self, code: int, out: str, err: str) -> None:
-        self.code, self.out, self.err = code, out, err
-
-
-@pytest.fixture
-def run(monkeypatch, capfd, tmp_path):
-    """Run the command line in this process, from an empty folder."""
-    (tmp_path / "system_tmp").mkdir()
-    (tmp_path / "work").mkdir()
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "system_tmp"))
-    monkeypatch.chdir(tmp_path / "work")
-
-    def run(*arguments: object) -> Ran:
-        monkeypatch.setattr(sys, "argv", ["drive-id", *map(str, arguments)])
-        capfd.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        return Ran(int(ended.value.code or 0), *capfd.readouterr())
-
-    return run
-
-
 def script(*arguments: object, **options) -> subprocess.CompletedProcess[str]:
     """Run the installed console script."""
     command = [SCRIPT, *map(str, arguments)]
@@ -71,7 +48,7 @@ def tree(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 
 
-def assert_one_sentence(ran: Ran, said: str) -> None:
+def assert_one_sentence(ran, said: str) -> None:
     assert ran.code == 1, ran
     assert ran.out == ""
     lines = ran.err.splitlines()
@@ -198,7 +175,7 @@ STATED_WITHOUT_PATH = {"standstill", "line_between"}
 def test_the_script_itself_ends_with_one_sentence(tmp_path):
     (tmp_path / "bad.mcap").write_text("no bag")
     ran = script("fit", "bad.mcap", "--output", "results", cwd=tmp_path)
-    assert_one_sentence(Ran(ran.returncode, ran.stdout, ran.stderr), "bad.mcap")
+    assert_one_sentence(SimpleNamespace(code=ran.returncode, out=ran.stdout, err=ran.stderr), "bad.mcap")
     assert tree(tmp_path) == ["bad.mcap"]
 
 

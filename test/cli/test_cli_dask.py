@@ -14,7 +14,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-import test_cli
 from drive_bags import TRAJECTORY
 from test_cli import JOINT, assert_one_sentence
 
@@ -27,7 +26,6 @@ from drive_id.fitting.dask_cluster import on_dask
 from drive_id.fitting.simulated import run_experiment
 from drive_id.fitting.sources import Sources, accumulate_sources
 
-run = test_cli.run
 RADIUS = FitSettings(method="joint", i_max=300.0)
 NOBODY = "tcp://127.0.0.1:1"
 """An address at which nothing listens: port 1 needs the rights of the administrator."""

@@ -15,8 +15,6 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.simulated import run_experiment
 
-run = test_cli.run
-
 
 @pytest.fixture(scope="module")
 def other(tmp_path_factory):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import numpy as np
 import pytest
@@ -12,24 +11,15 @@ from exchange_machine import AT, I_D, I_Q, PAIRS, RESISTANCE, flux, grids, resul
 import drive_id
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.trajectories import mtpa
-from drive_id.cli import app as cli
 from drive_id.exchange.exports.formats import EXPORTS
 from drive_id.files.results.identification import write_results
 from drive_id.fitting.simulated import load_machine
 
 
 @pytest.fixture
-def run(monkeypatch, capsys, tmp_path):
-    """Run the command line in this process, from an empty folder, and return its exit code, output and errors."""
+def run(run, monkeypatch, tmp_path):
+    """Run the command line from the folder of the test."""
     monkeypatch.chdir(tmp_path)
-
-    def run(*arguments):
-        monkeypatch.setattr(sys, "argv", ["drive-id", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        return int(ended.value.code or 0), *capsys.readouterr()
-
     return run
 
 

@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from column_files import write_csv
+from column_files import columns, write_csv
 from typer.testing import CliRunner
 
 from drive_id.cli.app import app, main
@@ -20,13 +20,9 @@ from drive_id.fitting.sources import Sources
 
 @pytest.fixture(scope="module")
 def log(simulation, tmp_path_factory):
-    samples = simulation.samples
-    phases = {f"{name}{phase}": x[:, k] for name, x in (("i", samples.i_abc), ("u", samples.u_abc))
-              for k, phase in enumerate("abc")}  # fmt: skip
-    rotor = {"theta": np.mod(samples.angle, 2 * np.pi), "omega": samples.speed}
-    references = {"id_ref": samples.i_dq_reference[:, 0], "iq_ref": samples.i_dq_reference[:, 1]}
-    time = {"time_s": (samples.stamp - samples.stamp[0]) * 1e-9}
-    return write_csv(tmp_path_factory.mktemp("log") / "log.csv", time | phases | rotor | references)
+    stamp = simulation.samples.stamp
+    logged = columns(simulation.samples, time_s=(stamp - stamp[0]) * 1e-9)
+    return write_csv(tmp_path_factory.mktemp("log") / "log.csv", logged)
 
 
 def run(*words, code=0):

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import synthetic
-from column_files import write_csv, write_mdf, write_parquet
+from column_files import columns, write_csv, write_mdf, write_parquet
 from drive_bags import renamed
 from foreign_rows import write_rows
 from scipy.io import savemat
@@ -26,7 +26,6 @@ from drive_id.files.write.writer import write_recording
 from drive_id.fitting.simulated import run_experiment
 from drive_id.inspection.inspect import check
 from drive_id.inspection.names import name_groups, suggests
-from drive_id.types import Samples
 
 POLE_PAIRS = 4
 CHECKS = Path(__file__).parents[2] / "docs" / "findings.md"
@@ -36,15 +35,6 @@ CHECKS = Path(__file__).parents[2] / "docs" / "findings.md"
 def samples(simulation):
     made = simulation.samples
     return replace(made.part(0, 12_000), truth=None, stamp=made.stamp[:12_000] - made.stamp[0])
-
-
-def columns(samples: Samples, **changed):
-    phases = {f"{name}{phase}": x[:, k] for name, x in (("i", samples.i_abc), ("u", samples.u_abc))
-              for k, phase in enumerate("abc")}  # fmt: skip
-    rotor = {"theta": np.mod(samples.angle, 2 * np.pi), "omega": samples.speed}
-    references = {"id_ref": samples.i_dq_reference[:, 0], "iq_ref": samples.i_dq_reference[:, 1]}
-    found = {"time_s": samples.stamp * 1e-9, **phases, **rotor, **references} | changed
-    return {name: x for name, x in found.items() if x is not None}
 
 
 def shaft(samples):

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from simulated_time import stamp_of
 
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveIdError
@@ -390,10 +391,6 @@ def test_operating_points_are_those_of_the_samples(ros, player, bag, simulation)
     np.testing.assert_allclose([point.i_d for point in got], turned.real, atol=1e-2)
     np.testing.assert_allclose([point.i_q for point in got], turned.imag, atol=1e-2)
     np.testing.assert_allclose([point.speed for point in got], simulation.samples.speed[index], rtol=1e-5)
-
-
-def stamp_of(message):
-    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
 def test_a_second_request_is_told_that_the_node_is_busy_and_no_sample_is_lost_meanwhile(ros, player, simulation):

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from recorder_blocks import PERIOD, START, TOPICS, block
+from recorder_blocks import PERIOD, START, TOPICS, block, metadata
 from ros_bench import DEADLINE, ros_bench
 from rosbags.rosbag2 import Reader
 
@@ -211,7 +210,7 @@ def test_losses_and_silence_are_told(ros):
     reply = recorder.stop()
     assert (reply.success, reply.samples, reply.dropped) == (True, 3000, 300)
     assert "these samples were lost: 100 of /phase_voltages, 200 of /resolver" in reply.message
-    information = yaml.safe_load((recorder.data / "bag" / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    information = metadata(recorder.data / "bag")
     assert information["custom_data"]["samples_lost:/resolver"] == "200"
     assert len(information["relative_file_paths"]) > 1  # split by duration
     assert any("missing in 1 place" in text for text in read_recording(recorder.data / "bag").warnings)

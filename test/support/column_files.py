@@ -7,7 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
+from drive_id.types import Samples
+
 Columns = Mapping[str, np.ndarray]
+
+
+def columns(samples: Samples, **changed: np.ndarray | None) -> dict[str, np.ndarray]:
+    """Return samples with references as columns, some of them changed or, where None, left out."""
+    phases = {f"{name}{phase}": x[:, k] for name, x in (("i", samples.i_abc), ("u", samples.u_abc))
+              for k, phase in enumerate("abc")}  # fmt: skip
+    rotor = {"theta": np.mod(samples.angle, 2 * np.pi), "omega": samples.speed}
+    references = {"id_ref": samples.i_dq_reference[:, 0], "iq_ref": samples.i_dq_reference[:, 1]}
+    found = {"time_s": samples.stamp * 1e-9, **phases, **rotor, **references} | changed
+    return {name: x for name, x in found.items() if x is not None}
 
 
 def write_csv(path: Path, columns: Columns) -> Path:

@@ -8,6 +8,7 @@ import itertools
 import os
 
 import numpy as np
+import yaml
 
 from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS, CURRENT_REFERENCE, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
@@ -56,3 +57,8 @@ class FullDisk(io.FileIO):
         if not fits and data:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         return super().write(fits)
+
+
+def metadata(path):
+    """Return what a bag says of itself."""
+    return yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]

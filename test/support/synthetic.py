@@ -35,6 +35,11 @@ def reciprocal_flux(i_dq: FloatArray) -> FloatArray:
     return np.stack([0.08 + 0.06 * x / root, 0.13 * y / root], axis=-1)
 
 
+def tanh_drop(i_abc: FloatArray) -> FloatArray:
+    """Return the drop of an inverter, V."""
+    return 4.0 * np.tanh(i_abc)
+
+
 def spline_free_current(t: FloatArray, i_max: float) -> FloatArray:
     phase = 2 * np.pi * 1.1 * t
     return i_max * np.stack([np.cos(phase) * np.sin(2 * np.pi * 3.7 * t), np.sin(phase)], axis=-1)

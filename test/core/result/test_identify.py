@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import record, saturating_flux
+from synthetic import record, saturating_flux, tanh_drop
 
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
@@ -15,10 +15,6 @@ from drive_id.core.paper.solver import jackknife, solve
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import identify
 from drive_id.errors import CoverageError, DataError
-
-
-def tanh_drop(i_abc):
-    return 4.0 * np.tanh(i_abc)
 
 
 def linear_flux(i_dq):

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import reciprocal_flux, record, saturating_flux
+from synthetic import reciprocal_flux, record, saturating_flux, tanh_drop
 
 from drive_id.common.messages import Message
 from drive_id.core import frames
@@ -20,10 +20,6 @@ from drive_id.core.result.identify import identify, score
 from drive_id.core.result.warnings import condemned
 from drive_id.errors import ConfigurationError, DataError, UnexplainedError
 from drive_id.types import GroundTruth
-
-
-def tanh_drop(i_abc):
-    return 4.0 * np.tanh(i_abc)
 
 
 @pytest.fixture(scope="module")

@@ -11,12 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from bag_samples import START as SAMPLES_START
 from bag_samples import make_samples, write_foreign
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from recorder_blocks import TOPICS, feed
+from recorder_blocks import TOPICS, feed, metadata
 from rosbags.rosbag2 import Reader, StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
@@ -209,9 +208,9 @@ def test_recovered_recordings_are_whole(copy, live):
     whole, rest = read_recording(recovery.output), read_recording(copy)
     assert whole.warnings == ()
     np.testing.assert_array_equal(whole.samples.u_abc, rest.samples.u_abc)
-    information = yaml.safe_load((recovery.output / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    information = metadata(recovery.output)
     topic = information["topics_with_message_count"][0]["topic_metadata"]
-    original = yaml.safe_load((live / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    original = metadata(live)
     assert topic == original["topics_with_message_count"][0]["topic_metadata"]
 
 
@@ -250,8 +249,7 @@ def test_everything_in_a_file_is_kept(tmp_path):
         writer = Writer(stream, use_chunking=False, compression=CompressionType.NONE)
         writer.start("ros2", "someone")
         schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"string data")
-        metadata = {"offered_qos_profiles": QOS_OF_HUMBLE}
-        channel = writer.register_channel("/chatter", "cdr", schema, metadata)
+        channel = writer.register_channel("/chatter", "cdr", schema, {"offered_qos_profiles": QOS_OF_HUMBLE})
         for number in range(5):
             writer.add_message(channel, 1000 + number, b"\0\1\0\0\2\0\0\0a\0", 900 + number, 70 + number)
         writer.add_attachment(1, 2, "photo", "image/png", b"pixels")
@@ -267,7 +265,7 @@ def test_everything_in_a_file_is_kept(tmp_path):
         assert (message.sequence, message.publish_time) == (70, 900)
         assert [attachment.data for attachment in reader.iter_attachments()] == [b"pixels"]
         assert {"weather": "fine"} in [record.metadata for record in reader.iter_metadata()]
-    information = yaml.safe_load((recovery.output / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    information = metadata(recovery.output)
     assert information["version"] == 8
     assert "history: 3" in information["topics_with_message_count"][0]["topic_metadata"]["offered_qos_profiles"]
 

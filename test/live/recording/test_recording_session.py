@@ -14,8 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
-from recorder_blocks import PERIOD, START, TOPICS, FullDisk, block, feed
+from recorder_blocks import PERIOD, START, TOPICS, FullDisk, block, feed, metadata
 from rosbags.rosbag2 import Reader
 
 from drive_id.errors import ConfigurationError, OutputError
@@ -40,10 +39,6 @@ def record(path, settings=None, **options):
 def stock_messages(path):
     with Reader(path) as reader:
         return [(connection.topic, stamp, bytes(data)) for connection, stamp, data in reader.messages()]
-
-
-def metadata(path):
-    return yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
 
 
 def wait_for(condition, timeout=30.0):

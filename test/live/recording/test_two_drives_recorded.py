@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import yaml
-from recorder_blocks import PERIOD, START, TOPICS, block, feed
+from recorder_blocks import PERIOD, START, TOPICS, block, feed, metadata
 
 from drive_id.common.health import Level
 from drive_id.files.messages.block_codec import decode_block, encode_block
@@ -29,10 +28,6 @@ def play(session, numbers, *, count=0, later=0.0, frame="drive"):
             own = (1, 0, False, False) if topic.type_name == CURRENT_REFERENCE else None
             values = [np.array(each) for each in values]
             session.receive(topic.name, encode_block(stamp, count + 100 * number, PERIOD, values, frame, own), stamp)
-
-
-def metadata(path):
-    return yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
 
 
 @pytest.mark.parametrize(

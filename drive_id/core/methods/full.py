@@ -403,7 +403,8 @@ def _statements(
     locked = _locked(evidence)
     relative = fit.sigma(RESISTANCE) / max(abs(fit.solution.resistance), TINY)
     by = ".locked" if locked else ".speeds" if fit.steady is None else ".reciprocity" if fit.spec.reciprocal else ""
-    yield Message(f"separation{by}", share=relative)
+    iron = any(CATALOGUE[name].family == "iron_loss" for name in fit.spec.effects)
+    yield Message(f"separation{by}", share=relative, iron=iron)
     yield Message("linear_drop")
     gain = calibration.common_gain(calibrations)
     yield Message("common_gain.currents", share=gain) if gain else Message("common_gain")
@@ -417,7 +418,7 @@ def _statements(
     elif large and not fit.spec.wide:
         yield Message("wide_curve.open", shared=fit.shared_resistance)
     yield from dict.fromkeys(c.message for c in calibrations if not (c.doubtful or c.message.kind == "warning"))
-    orders = ", ".join(map(str, fit.spec.orders))
+    orders = ", ".join(map(str, sorted(fit.spec.orders)))
     if not locked:
         yield Message("harmonics", orders=orders) if orders else Message("harmonics.none")
     yield _on_region(evidence, inside)

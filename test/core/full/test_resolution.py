@@ -105,6 +105,7 @@ def test_iron_loss_across_a_bridge_is_no_delay():
     assert not found.report.warnings
     conductance = next(each.value for each in found.calibrations if each.name == "iron_loss_conductance")
     assert conductance == pytest.approx(0.2, rel=0.05)
+    assert any("L_dq = L_qd and on the assumed law of the iron loss" in said for said in found.statements)
 
 
 @pytest.mark.accuracy

@@ -105,13 +105,11 @@ class EffectColumns:
     def _ends(self, windows: Windows) -> Ends:
         turn: ComplexArray = np.exp(1j * windows.angle)
         i_s = windows.measured * turn
-        resistance, fallen = float(self.estimate[RESISTANCE]), self._fallen(i_s, windows)
+        fallen = self._fallen(i_s, windows)
         drop = frames.space_vector(fallen.reshape(-1, 3)).reshape(i_s.shape)
-        induced = (windows.held - resistance * i_s - drop) / turn
+        induced = (windows.held - float(self.estimate[RESISTANCE]) * i_s - drop) / turn
         part = getattr(windows, self.divided)
-        return Ends(
-            windows, windows.measured, turn, induced, resistance, fallen, self.pole_pairs, part, self.steady or 0.0
-        )
+        return Ends(windows, windows.measured, turn, induced, fallen, self.pole_pairs, part, self.steady or 0.0)
 
     def _at(self, windows: Windows) -> Linearized:
         ends, i_dq, through = self._ends(windows), _as_complex(windows.i_dq), self._jacobian(windows)

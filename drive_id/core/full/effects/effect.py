@@ -63,7 +63,6 @@ class Ends:
     currents: ComplexArray  # (N, 2), measured in the rotor frame, A
     turn: ComplexArray  # (N, 2), e^{j theta}
     induced: ComplexArray  # (N, 2), voltage e in the rotor frame, V
-    resistance: float  # ohm
     fallen: FloatArray  # (N, 2, 3), drop of the inverter in each phase, V
     pole_pairs: int | None
     part: IntArray  # (N,), number of the part of the data, see :func:`divided`

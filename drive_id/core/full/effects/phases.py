@@ -85,10 +85,10 @@ class CurrentFilters(DriveEffect):
         return [each / at.turn for each in _above_mean(frames.phases(rate.ravel()).reshape(*rate.shape, 3))]
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        i_s = at.currents * at.turn
-        voltage = at.resistance * frames.phases(i_s.ravel()).reshape(at.fallen.shape) + 0.5 * at.fallen
-        across = _above_mean(voltage[:, 1] - voltage[:, 0])
-        return [column + own for column, own in zip(super().columns(at), across, strict=True)]
+        across = frames.phases((at.windows.held - at.turn * at.induced).ravel()).reshape(at.fallen.shape)
+        across = across + at.fallen.mean(axis=2, keepdims=True) - 0.5 * at.fallen
+        read = _above_mean(across[:, 1] - across[:, 0])
+        return [column + own for column, own in zip(super().columns(at), read, strict=True)]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         for phase, x, dx in _of_phases(found):

@@ -9,7 +9,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from drive_id.inspection.clock import timed
-from drive_id.inspection.contents import Contents
+from drive_id.inspection.contents import ROWS, Contents
 from drive_id.inspection.inspect import Inspection
 from drive_id.reporting.tables import plain_table
 
@@ -32,7 +32,7 @@ def contents_tables(contents: Contents) -> Iterator[Table]:
     blocks = any(entry.block > 1 for entry in contents.tables)
     numbers = ["Messages" if contents.is_bag else "Rows", "Hz", *(["Samples/s"] if blocks else [])]
     groups = plain_table(title, [group, "Type"], numbers)
-    fields = plain_table("Fields", ["Field"], ["Least", "Largest"])
+    fields = plain_table(f"Fields, ranges of at most the first {ROWS} samples", ["Field"], ["Least", "Largest"])
     for table in contents.tables:
         entry = timed(table, contents)
         rate, samples = (f"{1 / (entry.period * n):.6g}" if entry.period else "" for n in (entry.block, 1))

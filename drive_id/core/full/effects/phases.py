@@ -76,6 +76,7 @@ class CurrentFilters(DriveEffect):
 
     width = 2
     of_sensors, of_speeds, harmonic = True, True, 2  # at one speed, unequal gains of the currents look alike
+    price = 0.01  # of a misfit of the map, it explains some beside cross-talk
 
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return known.sensors

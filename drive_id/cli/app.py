@@ -240,7 +240,8 @@ def fit(
     from drive_id.files.results.identification import results_tree
     from drive_id.fitting.fit import fit_bags
 
-    sources = _sources(bags, signals, namespace, workers, skip_bad=skip_bad)
+    drawn = report or figures or bool((figure_format or style) and not no_figures)
+    sources = dataclasses.replace(_sources(bags, signals, namespace, workers, skip_bad=skip_bad), compared=drawn)
     stored = sources.stored_settings()
     chosen = options.merged_settings(
         FitSettings, config, settings,
@@ -258,7 +259,7 @@ def fit(
         console.show_result(result, verbose=verbose)
         console.say(f"Results in {output}")
     sys.stdout.flush()  # the answer does not wait for pictures
-    if report or figures or ((figure_format or style) and not no_figures):
+    if drawn:
         look = (figure_format or FigureFormat.png).value, (style or PictureStyle.screen).value
         _draw(result, output, look, report=report, quiet=quiet or as_json)
 

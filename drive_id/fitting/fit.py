@@ -53,6 +53,7 @@ def fit(
     workers: int = 1,
     executor: Executor | None = None,
     skip_bad: bool = False,
+    compare: bool = False,
     tell: Progress = silent,
 ) -> Identification:
     """Identify flux maps, resistance and inverter voltage error from recordings of one drive.
@@ -87,6 +88,8 @@ def fit(
         files. It gets 32 recordings at a time, or twice as many as ``workers``, if that tells how many it has.
     skip_bad : bool
         Leave out recordings that cannot be used, with a warning for each.
+    compare : bool
+        Keep sums of long bags for the paper's methods, too, so that reports and pictures of the result show them.
     tell : callable, optional
         Called with what is being done and its progress, 0 to 1.
 
@@ -115,7 +118,7 @@ def fit(
             )
         own = replace(settings or FitSettings(), **chosen)
         return _saved(partial(_fit_memory, samples, own, tell), target, force=force, tell=tell)
-    sources = Sources(paths, signal_map, namespace, workers, skip_bad, executor)
+    sources = Sources(paths, signal_map, namespace, workers, skip_bad, executor, compare)
     settings = replace(settings or sources.stored_settings() or FitSettings(), **chosen)
     return fit_bags(sources, target, settings, force=force, tell=tell)
 
@@ -222,6 +225,8 @@ def _fit_sources(sources: Sources, settings: FitSettings, tell: Progress) -> Ide
         inputs=recording.digests,
         warnings=(*recording.warnings, *warnings),
     )
+    if evidence.information is None:
+        return result
     sums = evidence.copy(replace(evidence.settings, method=COMPARED[0]))  # without windows, which take memory
     return replace(result, evidence=sums)
 
@@ -243,7 +248,7 @@ def accumulate_bags(sources: Sources, output: Path, settings: FitSettings, tell:
     """
     check_information_output(output)
     with one_blas_thread():
-        accumulated = _accumulated(sources, settings, tell, apart=True)
+        accumulated = _accumulated(replace(sources, compared=True), settings, tell, apart=True)
     tell("Writing", None)
     write_information(output, accumulated)
     return accumulated
@@ -254,4 +259,7 @@ def _accumulated(sources: Sources, settings: FitSettings, tell: Progress, *, apa
     apart = apart or sources.skip_bad or sources.remote or sources.workers > 1
     if apart or sources.information or sources.executor:
         return accumulate_sources(sources, settings, tell)
-    return accumulate(sources.paths, settings, signals=sources.signals, namespace=sources.namespace, tell=tell)
+    return accumulate(
+        sources.paths, settings, signals=sources.signals, namespace=sources.namespace, compared=sources.compared,
+        tell=tell,
+    )  # fmt: skip

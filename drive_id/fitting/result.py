@@ -37,7 +37,7 @@ class Identification(Result):
         Residuals, simulated currents and the paper's methods on the same data, where they are known already; see
         :attr:`diagnostics`.
     evidence : Evidence or None
-        Sums over all samples for the paper's methods; None: they are formed over the excerpts when needed.
+        Sums over all samples for the paper's methods; None: formed when needed, if the excerpts are all samples.
     """
 
     def save(

@@ -58,6 +58,7 @@ class Sources:
     workers: int = 1  # processes that read the sources; 1: this one, or as many as the executor has
     skip_bad: bool = False  # leave out sources that cannot be used, with a warning for each
     executor: Executor | None = None  # what reads the sources instead of processes of ours
+    compared: bool = False  # keep the sums of the paper's methods, too, whatever the method of the fit
 
     def __post_init__(self) -> None:
         if not self.paths:
@@ -274,7 +275,10 @@ def _read(path: Path, settings: FitSettings, sources: Sources, *, threads: bool)
     if is_information(path):
         return read_information(path).accumulated
     with one_blas_thread():  # whatever the process that this is
-        return accumulate([path], settings, signals=sources.signals, namespace=sources.namespace, threads=threads)
+        return accumulate(
+            [path], settings, signals=sources.signals, namespace=sources.namespace, threads=threads,
+            compared=sources.compared,
+        )  # fmt: skip
 
 
 def _renamed(found: Accumulated, here: str, name: str) -> Accumulated:

@@ -30,11 +30,13 @@ def accumulate(
     signals: SignalMap | None = None,
     namespace: str = "",
     threads: bool = True,
+    compared: bool = False,
     tell: Progress = silent,
 ) -> Accumulated:
     """Accumulate the samples of one or several bags of one drive.
 
-    Without ``threads``, this one reads, too: where each process is confined to one core.
+    Without ``threads``, this one reads, too: where each process is confined to one core. ``compared`` is as in
+    :class:`~drive_id.core.accumulation.evidence.Evidence`.
 
     Where the drive was restarted or exchanged within a bag, its parts are recordings, and must be of one drive: see
     :func:`~drive_id.fitting.one_drive.of_one_drive`.
@@ -44,10 +46,10 @@ def accumulate(
     signals = signals or SignalMap()
     reading = SeveralBags(bags, signals, namespace, tell, threads=threads)
     try:
-        evidence, spans = _gathered(reading, settings)
+        evidence, spans = _gathered(reading, settings, compared=compared)
         validation, warnings = spans.samples(), reading.warnings
     except DividedError:
-        evidence, validation, said = of_one_drive(_gathered_apart(reading, settings, tell), tell)
+        evidence, validation, said = of_one_drive(_gathered_apart(reading, settings, tell, compared=compared), tell)
         warnings = (*reading.warnings, *said)
     return Accumulated(
         evidence=evidence,
@@ -61,12 +63,12 @@ def accumulate(
     )
 
 
-def _gathered(reading: SeveralBags, settings: FitSettings) -> tuple[Evidence, Spans]:
+def _gathered(reading: SeveralBags, settings: FitSettings, *, compared: bool) -> tuple[Evidence, Spans]:
     """Prescan and accumulate: together if i_max is set, else one after the other."""
     known = settings.i_max is not None
     while True:
         prescan, spans = Prescan(), Spans()
-        evidence = prescan.prepare(settings) if known else None
+        evidence = prescan.prepare(settings, compared=compared) if known else None
         try:
             for piece, begins in reading.pieces("Accumulating" if known else "Reading", keep=not known):
                 prescan.add(piece.samples, continues=piece.continues)
@@ -80,20 +82,21 @@ def _gathered(reading: SeveralBags, settings: FitSettings) -> tuple[Evidence, Sp
     if evidence is not None:
         prescan.inform(evidence)
         return evidence, spans
-    evidence = prescan.prepare(settings)
+    evidence = prescan.prepare(settings, compared=compared)
     for piece, begins in reading.again("Accumulating"):
         _add(evidence, piece, begins=begins)
     return evidence, spans
 
 
-def _gathered_apart(reading: SeveralBags, settings: FitSettings, tell: Progress) -> list[Part]:
+def _gathered_apart(reading: SeveralBags, settings: FitSettings, tell: Progress, *, compared: bool) -> list[Part]:
     """Read twice, and accumulate each bag, and each part of one in which the drive changed, by itself."""
     prescan = _scanned(reading, settings)
     parts: list[Part] = []
     for piece, begins in reading.pieces("Accumulating"):
         if begins:
             number, of_drive = reading.present
-            parts.append(Part(number, of_drive, prescan.prepare(settings.of_recording(number)), Spans()))
+            evidence = prescan.prepare(settings.of_recording(number), compared=compared)
+            parts.append(Part(number, of_drive, evidence, Spans()))
             parts[-1].evidence.next_recording()
         parts[-1].evidence.add(piece.samples, continues=piece.continues)
         parts[-1].spans.add(piece)

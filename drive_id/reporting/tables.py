@@ -171,12 +171,13 @@ def information_table(path: Path, stored: StoredInformation) -> Table:
     """Lay out the content of an information file."""
     found = stored.accumulated
     evidence, information, settings = found.evidence, found.evidence.information, found.evidence.settings
+    assert information is not None
     duration = evidence.samples * evidence.sample_period
     seconds = sum(piece.duration for piece in found.validation)
     table = plain_table(f"{path}: written by drive_id {stored.software}", ["Quantity", "Value"])
     table.add_row("Samples", f"{found.samples}, {duration:.3f} s, {counted(evidence.gaps, 'gap')}")
     table.add_row("Disc", f"{evidence.i_max:.6g} A, {100 * evidence.coverage():.1f} % covered")
-    table.add_row("Flux model", f"{settings.flux_model}, {counted(evidence.model.parameters, 'unknown')}")
+    table.add_row("Flux model", f"{settings.flux_model}, {counted(information.model.parameters, 'unknown')}")
     table.add_row("Time blocks", f"{len(information.blocks)} of {information.block_duration:.4g} s")
     table.add_row(
         "Samples kept for simulated currents", f"{seconds:.3f} s of {counted(len(found.validation), 'recording')}"

@@ -221,6 +221,14 @@ def test_the_methods_are_those_fits_of_their_own(bag, fitted, page):
     assert apart[k][j] == pytest.approx(1e3 * at, rel=1e-3)
 
 
+def test_without_sums_the_methods_are_compared_if_all_samples_are_kept(fitted):
+    (expected,), (whole,) = fitted.diagnostics.comparisons, replace(fitted, evidence=None).diagnostics.comparisons
+    assert whole.resistance == pytest.approx(expected.resistance, rel=1e-9)
+    half = tuple(part.part(0, len(part) // 2) for part in fitted.excerpts)
+    (left,) = replace(fitted, evidence=None, excerpts=half).diagnostics.comparisons
+    assert left.failure == "The fit kept no sums for it: fit with compare=True."
+
+
 @pytest.mark.slow  # a report is drawn
 def test_a_report_of_a_psm_fit_says_what_it_lacks(bag):
     page = page_of(fit_bags(Sources([bag]), None, FitSettings(method="psm")))

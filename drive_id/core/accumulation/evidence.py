@@ -16,7 +16,7 @@ from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import FLUX_CELLS, Visits, disc_coverage
-from drive_id.core.maps.flux_models import FluxModel, Polynomial, TensorSpline
+from drive_id.core.maps.flux_models import Polynomial, TensorSpline
 from drive_id.core.maps.inverter_curve import TanhShape
 from drive_id.core.numerics.bspline import Axis
 from drive_id.core.numerics.running_sums import Accumulator, SavedSums, below, exactly, prefixed
@@ -54,14 +54,14 @@ def check_live(method: str) -> None:
 class Evidence:
     """Sums of the fit's method, counts of visited currents and noise statistics of the samples so far.
 
-    The sums of the paper's regression are always there, so that method ``full`` serves all methods.
-
     Parameters
     ----------
     d, q : Axis
         Ranges of the map.
     i_max : float
         Radius of the current disc of the experiment, A.
+    compared : bool
+        Form the sums of the paper's regression, whatever the method, so that method ``full`` serves all methods.
 
     Raises
     ------
@@ -69,14 +69,15 @@ class Evidence:
         For method ``static``.
     """
 
-    def __init__(self, settings: FitSettings, d: Axis, q: Axis, i_max: float) -> None:
+    def __init__(self, settings: FitSettings, d: Axis, q: Axis, i_max: float, *, compared: bool = False) -> None:
         check_live(settings.method)
         self.settings = settings
         self.d = d
         self.q = q
         self.i_max = i_max
-        self.information = RegressionSums(self._flux_model(), TanhShape(settings.inverter_current_scale))
-        self.windows = self._window_sums() if ORIGINS[settings.method].windows else None
+        over_windows = ORIGINS[settings.method].windows
+        self.information = self._regression_sums() if compared or not over_windows else None
+        self.windows = self._window_sums() if over_windows else None
         self.visits = Visits(
             np.linspace(d.low, d.high, settings.grid_points), np.linspace(q.low, q.high, settings.grid_points)
         )
@@ -88,6 +89,7 @@ class Evidence:
         self.samples = 0
         self.gaps = 0
         self.idle = 0
+        self._outside = 0  # see outside
         self._quiet = 0  # samples since the current was last away from zero
         self._time = 0.0
         # of fourth differences of the noise of i_dq, per component: what information files have always held
@@ -99,16 +101,18 @@ class Evidence:
         self._angle_square = self._turned_square = 0.0
 
     @classmethod
-    def within(cls, settings: FitSettings, i_max: float) -> Evidence:
+    def within(cls, settings: FitSettings, i_max: float, *, compared: bool = False) -> Evidence:
         """Prepare for samples of unknown range in a disc of known radius, A."""
         edge = DOMAIN_MARGIN * i_max
-        return cls(settings, Axis(-edge, edge, settings.splines_d), Axis(-edge, edge, settings.splines_q), i_max)
+        d, q = (Axis(-edge, edge, count) for count in (settings.splines_d, settings.splines_q))
+        return cls(settings, d, q, i_max, compared=compared)
 
-    def _flux_model(self) -> FluxModel:
-        """Return the flux model of the paper's regression."""
-        if self.settings.flux_model == "spline":
-            return TensorSpline(self.d, self.q)
-        return Polynomial(1 if self.settings.flux_model == "linear" else self.settings.polynomial_degree, self.i_max)
+    def _regression_sums(self) -> RegressionSums:
+        """Return empty sums of the paper's regression."""
+        degree = 1 if self.settings.flux_model == "linear" else self.settings.polynomial_degree
+        spline = self.settings.flux_model == "spline"
+        model = TensorSpline(self.d, self.q) if spline else Polynomial(degree, self.i_max)
+        return RegressionSums(model, TanhShape(self.settings.inverter_current_scale))
 
     def _window_sums(self) -> WindowSums:
         from drive_id.core.full.model import FullModel  # noqa: PLC0415  # takes 0.1 s
@@ -137,9 +141,14 @@ class Evidence:
         i_dq = frames.to_dq(samples.i_abc, samples.angle)
         idle = self._idle(samples, i_dq, continues=continues)
         self.idle += int(idle[new].sum())
-        self.information.add(samples, done, idle)
         if self.windows is not None:
             self.windows.add(samples, idle, continues=continues, prompt=prompt)
+        if self.information is not None:
+            self.information.add(samples, done, idle)
+        else:
+            self._outside += self._beyond(samples, i_dq)
+            if done:
+                done(len(samples))
         self.visits.add(i_dq[new])
         self.gaps += len(samples.run_starts) - (continues or self.samples == 0)
         self.samples += len(samples) - continues
@@ -159,13 +168,21 @@ class Evidence:
 
         Raises ConfigurationError when temperatures or DC-link voltages are set, but none for this recording.
         """
-        self.information.next_recording()
+        if self.information is not None:
+            self.information.next_recording()
         one = self.settings.of_recording(self._recordings)
         heating = one.temperatures[0] - REFERENCE_TEMPERATURE if one.temperatures else 0.0
         drop_scale = one.u_dc[0] / one.u_dc_reference if one.u_dc and one.u_dc_reference else 1.0
         if self.windows is not None:
             self.windows.next_recording(heating, drop_scale)
         self._recordings += 1
+
+    def _beyond(self, samples: Samples, i_dq: FloatArray) -> int:
+        """Return the number of :attr:`outside` among samples."""
+        out = np.zeros(len(samples), np.bool_)
+        for axis, current in zip((self.d, self.q), i_dq.T, strict=True):
+            out |= (current < axis.low) | (current > axis.high)
+        return sum(int((out[run][1:] | out[run][:-1]).sum()) for run in samples.runs())
 
     def _idle(self, samples: Samples, i_dq: FloatArray, *, continues: bool) -> BoolArray:
         """Tell (N,) which samples follow a rest near zero current longer than the settings allow."""
@@ -187,13 +204,13 @@ class Evidence:
         if other.settings.i_max is not None:
             other.i_max = other.settings.i_max
         check_live(other.settings.method)
-        over_windows = ORIGINS[other.settings.method].windows
-        if over_windows and self.windows is None:
+        if not self._serves(other.settings.method):
             raise ConfigurationError(
                 f"The samples were accumulated for method {self.settings.method}, which is not enough for method "
-                f"{other.settings.method}: accumulate them with that method, which serves this one, too."
+                f"{other.settings.method}: accumulate them for that method."
             )
-        other.information = self.information.copy()
+        over_windows = ORIGINS[other.settings.method].windows
+        other.information = self.information.copy() if self.information is not None else None
         other.visits = self.visits.copy()
         other.windows = self.windows.copy() if over_windows and self.windows is not None else None
         return other
@@ -201,7 +218,8 @@ class Evidence:
     def merged(self, other: Evidence) -> Evidence:
         """Return the evidence of all recordings of both; neither changes.
 
-        Raises ConfigurationError when they were accumulated differently; see :meth:`difference`.
+        Sums of the paper's regression that one of them lacks are left out. Raises ConfigurationError when they were
+        accumulated differently; see :meth:`difference`.
         """
         if difference := self.difference(other):
             raise ConfigurationError(
@@ -209,6 +227,8 @@ class Evidence:
                 "with the same settings and the same i_max."
             )
         both, theirs = self.copy(), other.accumulators()
+        both._outside = self.outside + other.outside  # noqa: SLF001  # of its own class
+        both.information = both.information if other.information is not None else None
         for name, accumulator in both.accumulators().items():
             accumulator.merge(theirs[name])
         for name in (*_COUNTS, *_SUMS):
@@ -219,16 +239,16 @@ class Evidence:
         both._quiet = 0  # noqa: SLF001  # of its own class
         return both
 
+    def _serves(self, method: str) -> bool:
+        """Tell whether the sums that a method needs are there."""
+        return (self.windows if ORIGINS[method].windows else self.information) is not None
+
     def suits(self, settings: FitSettings) -> bool:
         """Tell whether a fit with these settings can use this evidence; raises ConfigurationError for ``static``."""
         check_live(settings.method)
         shaping = (*_SHAPING, "temperatures", "u_dc", "u_dc_reference")
         same = all(getattr(self.settings, name) == getattr(settings, name) for name in shaping)
-        return (
-            same
-            and self.resolves(settings.i_max)
-            and (self.windows is not None or not ORIGINS[settings.method].windows)
-        )
+        return same and self.resolves(settings.i_max) and self._serves(settings.method)
 
     @property
     def largest_disc(self) -> float:
@@ -273,13 +293,13 @@ class Evidence:
 
     def accumulators(self) -> dict[str, Accumulator]:
         """Return the accumulators it consists of, by name."""
-        parts: dict[str, Accumulator] = {"information": self.information, "visits": self.visits}
-        return parts if self.windows is None else parts | {"windows": self.windows}
+        parts = {"information": self.information, "visits": self.visits, "windows": self.windows}
+        return {name: part for name, part in parts.items() if part is not None}
 
     @property
-    def model(self) -> FluxModel:
-        """Flux model of the paper's regression."""
-        return self.information.model
+    def outside(self) -> int:
+        """Number of pairs of consecutive samples of which one lies beyond the map's range."""
+        return self._outside if self.information is None else self.information.outside
 
     @property
     def sample_period(self) -> float:

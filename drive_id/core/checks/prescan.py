@@ -202,21 +202,22 @@ class Prescan:
             if refused:
                 return
 
-    def prepare(self, settings: FitSettings) -> Evidence:
+    def prepare(self, settings: FitSettings, *, compared: bool = False) -> Evidence:
         """Return empty evidence for the i_max of the settings or, by default, the radius and range of these samples.
 
-        Without i_max, the axes of the map end at the largest currents, spikes excluded.
+        Without i_max, the axes of the map end at the largest currents, spikes excluded. ``compared`` is as in
+        :class:`~drive_id.core.accumulation.evidence.Evidence`.
         """
         radius = self.radius
         if settings.i_max is not None:
-            evidence = Evidence.within(settings, settings.i_max)
+            evidence = Evidence.within(settings, settings.i_max, compared=compared)
         else:
             rows = self._amplitudes.rows()
             trusted = rows[rows[:, 0] <= SPIKE_FACTOR * self._usual, 1:3]
             low = np.minimum(self._amplitudes.low[:2], trusted.min(axis=0, initial=np.inf))
             high = np.maximum(self._amplitudes.high[:2], trusted.max(axis=0, initial=-np.inf))
             d, q = Axis(low[0], high[0], settings.splines_d), Axis(low[1], high[1], settings.splines_q)
-            evidence = Evidence(settings, d, q, radius)
+            evidence = Evidence(settings, d, q, radius, compared=compared)
         self.inform(evidence)
         return evidence
 

@@ -45,7 +45,7 @@ def radius_warnings(evidence: Evidence, coverage: float) -> list[Message]:
     elif coverage < WEAK_COVERAGE:
         half, covered = _emptiest_half(evidence)
         warnings.append(Message("little_coverage.data", half=half, covered=covered, **sizes))
-    if outside := evidence.information.outside:
+    if outside := evidence.outside:
         beyond = evidence.settings.i_max is not None and evidence.reached > sizes["domain"]
         warnings.append(Message(f"left_out.{'beyond' if beyond else 'outside'}", pairs=outside, **sizes))
     return warnings

@@ -31,7 +31,7 @@ from drive_id.core.maps.coverage import FLUX_CELLS, enclosed, smoothed
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_map import FluxMap, HarmonicMap
 from drive_id.core.maps.flux_models import BasisRows
-from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Limits
+from drive_id.core.methods.method import CURVE_POINTS, EffectVoltages, Estimate, Limits, check_sums
 from drive_id.core.methods.parameters import FitReport
 from drive_id.errors import DataError
 from drive_id.types import TINY, BoolArray, FloatArray, Samples
@@ -79,6 +79,8 @@ class FullMethod:
         information = evidence.windows.finished()
         if information.windows < information.model.flux.parameters:
             raise DataError(Message("few_windows", windows=information.windows))
+        sums = information.triangles()
+        check_sums(sums, sum(each[0] for each in sums))  # those of the voltages come first
         if locked:
             information = _at_one_position(information)
         fit = fit_full(

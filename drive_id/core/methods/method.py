@@ -6,9 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+import numpy as np
+
 from drive_id.common.messages import Message
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.methods.parameters import FitReport, Parameters
+from drive_id.errors import DataError
 from drive_id.types import BoolArray, FloatArray, Samples
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
@@ -48,6 +51,15 @@ class Estimate(Parameters):
     fit: EarlierFit | None = None  # what a fit of further samples can take over; only of method full
 
 
+def check_sums(sums: Sequence[FloatArray], voltage: float) -> None:
+    """Raise DataError unless all sums are finite, and that of the squared voltages is not zero."""
+    if not (all(np.isfinite(each).all() for each in sums) and voltage > 0):
+        raise DataError(
+            "The commanded voltages are zero or equal in all phases, or voltages or currents are out of all range: "
+            "check their fields and scales."
+        )
+
+
 class Method(Protocol):
     """One of ``psm``, ``joint`` and ``full``."""
 
@@ -59,5 +71,5 @@ class Method(Protocol):
         """Estimate maps and parameters; data support the map where ``inside`` (D, Q) on the grid of the visits.
 
         ``earlier`` is a fit by the same settings from most of these samples, whose selection method ``full`` takes
-        over. Raises DataError when there are too few data for this method.
+        over. Raises DataError when there are too few data for this method, or :func:`check_sums` does.
         """

@@ -15,7 +15,7 @@ from drive_id.core.maps.continuation import LongerGrid
 from drive_id.core.maps.error_modes import ErrorModes, error_modes
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.maps.flux_models import FluxModel
-from drive_id.core.methods.method import CURVE_POINTS, Estimate, Limits
+from drive_id.core.methods.method import CURVE_POINTS, Estimate, Limits, check_sums
 from drive_id.core.methods.parameters import FitReport
 from drive_id.core.paper.regression import RegressionSums
 from drive_id.core.paper.rows import VOLTAGE
@@ -49,8 +49,10 @@ class PaperMethod:
         earlier: EarlierFit | None = None,  # noqa: ARG002  # there is nothing to select
     ) -> Estimate:
         """Solve the regression, continue the map beyond the data and estimate standard errors by the jackknife."""
-        information, model = evidence.information, evidence.information.model
-        blocks, total = information.blocks, information.total
+        information = evidence.information
+        assert information is not None
+        blocks, total, model = information.blocks, information.total, information.model
+        check_sums([total], total[VOLTAGE, VOLTAGE])
         solution = solve(total, information.rows, with_inverter=self.inverter)
         spread = jackknife(blocks, solution)
         grid = evidence.visits.grid()
@@ -94,7 +96,8 @@ class PaperMethod:
             return
         if solution.voltage_error < -2 * sigma(spread.voltage_error):
             yield Message("voltage_error_negative", voltage_error=solution.voltage_error)
-        asymmetry = mirror_asymmetry(evidence, solution.gamma, inside)
+        assert evidence.information is not None
+        asymmetry = mirror_asymmetry(evidence, evidence.information.model, solution.gamma, inside)
         if not any(finding.code == "angle_offset" for finding in evidence.findings) and asymmetry > _LARGE_ASYMMETRY:
             yield Message("mirror_asymmetry", asymmetry=asymmetry)
 
@@ -145,7 +148,7 @@ def _on_noise(evidence: Evidence) -> Iterator[Message]:
         yield Message("current_noise", share=evidence.noise_share)
 
 
-def mirror_asymmetry(evidence: Evidence, gamma: FloatArray, inside: BoolArray) -> float:
+def mirror_asymmetry(evidence: Evidence, model: FluxModel, gamma: FloatArray, inside: BoolArray) -> float:
     """Return how far a map of parameters (P,), Wb, is from psi_d(i_d, -i_q) = psi_d, psi_q(i_d, -i_q) = -psi_q.
 
     An offset of the angle turns map and currents together, which no voltage shows; in a symmetric machine's map it
@@ -163,7 +166,6 @@ def mirror_asymmetry(evidence: Evidence, gamma: FloatArray, inside: BoolArray) -
     pairs = i_dq[inside[nearest[0], nearest[1]]]
     if not len(pairs):
         return 0.0
-    model = evidence.information.model
     psi = model.rows(pairs).dot(gamma)
     mirrored = model.rows(pairs * [1, -1]).dot(gamma) * [1, -1]
     return float(np.sqrt(np.mean((psi - mirrored) ** 2, axis=0)).max() / np.abs(psi).max())

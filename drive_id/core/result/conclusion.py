@@ -14,14 +14,13 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.checks.radius import check_radius
 from drive_id.core.methods.method import Estimate, Method
 from drive_id.core.methods.paper import PAPER_METHODS
-from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.monotone_estimate import made_monotone
 from drive_id.core.result.warnings import because, condemned, review
 from drive_id.core.validation.current_simulation import simulate_current
 from drive_id.core.validation.metrics import mean_absolute_deviation
 from drive_id.core.validation.simulated_current import SimulatedCurrent, simulated_current
-from drive_id.errors import DataError, UnexplainedError
+from drive_id.errors import UnexplainedError
 from drive_id.types import Samples
 
 if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
@@ -51,12 +50,6 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
     """
     inside, coverage = evidence.inside(), evidence.coverage()
     check_radius(evidence, coverage)
-    total = evidence.information.total
-    if not (np.isfinite(total).all() and total[VOLTAGE, VOLTAGE] > 0):
-        raise DataError(
-            "The commanded voltages are zero or equal in all phases, or voltages or currents are out of all range: "
-            "check their fields and scales."
-        )
     method = _method_named(evidence.settings.method)
     estimate = method.conclude(evidence, inside, earlier.fit if earlier else None)
     if not estimate.unexplained <= method.limits.refused:

@@ -83,8 +83,8 @@ def diagnose(
 ) -> Diagnostics:
     """Evaluate residuals over excerpts of the recordings and, if wanted, run the paper's methods on the same data.
 
-    The latter takes longer than all else; they use the evidence of all samples (default: of the excerpts), the settings
-    of the fit, and are scored against the truth.
+    The latter takes longer than all else; they use the evidence of all samples (default: of the excerpts, where these
+    are all samples), the settings of the fit, and are scored against the truth.
     """
     residual, turning = drive_residual(drive, excerpts), drive.origin.turning
     return Diagnostics(
@@ -133,6 +133,9 @@ def _comparisons(
 ) -> tuple[ComparedMethod, ...]:
     methods = [method for method in COMPARED if method != drive.method]
     with one_blas_thread():
+        if evidence is None and sum(map(len, excerpts)) < drive.report.samples_read:
+            failure = "The fit kept no sums for it: fit with compare=True."
+            return tuple(ComparedMethod(method, failure=failure) for method in methods)
         if evidence is None and excerpts:
             try:
                 evidence = gather(excerpts, replace(settings, method=methods[0]))

@@ -214,7 +214,7 @@ def _accumulated(header: Mapping[str, Any], arrays: SavedSums, where: str) -> Ac
     settings = from_mapping(FitSettings, header["settings"], where)
     counts = (settings.splines_d, settings.splines_q)
     d, q = (Axis(float(low), float(high), count) for (low, high), count in zip(header["ranges"], counts, strict=True))
-    evidence = Evidence(settings, d, q, float(header["i_max"]))
+    evidence = Evidence(settings, d, q, float(header["i_max"]), compared=True)
     evidence.restore(below("evidence", arrays))
     validation = tuple(
         _piece(below(f"validation/{number}", arrays), period)

@@ -365,7 +365,7 @@ def _fit_bags(
     tell("Reading", 0.0)
     topics = {own.currents.topic, own.voltages.topic, own.resolver.topic}
     signals = own if wanted or all(_holds(path, topics) for path in paths) else None
-    sources = Sources(paths, signals)
+    sources = Sources(paths, signals, compared=settings.picture)
     result = _of_session(fit_bags(sources, output, fit, tell=tell), session)
     if settings.picture or session:
         result.save(output, draw=settings.picture)

@@ -108,7 +108,7 @@ class LiveEvidence:
         self.join = StreamJoin(self._names, wait=_WAIT)
         self._gathered: LiveSums | None = None
         if self.settings.i_max is not None:
-            evidence = Evidence.within(self.settings, self.settings.i_max)
+            evidence = Evidence.within(self.settings, self.settings.i_max, compared=True)  # requests name any method
             evidence.next_recording()  # the live samples are the first one
             self._gathered = LiveSums(evidence, Prescan(), Spans())
 

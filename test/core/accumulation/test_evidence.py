@@ -178,3 +178,21 @@ def test_recordings_added_one_after_the_other_get_the_same_blocks_as_merged_ones
     assert together.information.block_duration == merged.information.block_duration
     total = together.information.total.max()
     np.testing.assert_allclose(together.information.blocks, merged.information.blocks, atol=1e-12 * total)
+
+
+def test_full_forms_the_sums_of_the_paper_only_where_they_are_asked_for(recordings):
+    full = FitSettings(method="full", i_max=I_MAX)
+    alone, more = (Evidence.within(full, I_MAX, compared=compared) for compared in (False, True))
+    for each in (alone, more):
+        each.add(replace(recordings[1], i_abc=1.2 * recordings[1].i_abc))
+    assert {*more.accumulators()} - {*alone.accumulators()} == {"information"}
+    assert alone.outside == more.outside > 0
+    for one, other in zip(*(each.windows.finished().triangles() for each in (alone, more)), strict=True):
+        np.testing.assert_array_equal(one, other)
+    for merged in (alone.merged(more), more.merged(alone)):
+        assert (merged.information, merged.outside) == (None, 2 * more.outside)
+    joint = replace(full, method="joint")
+    assert (alone.suits(joint), more.suits(joint)) == (False, True)
+    assert more.copy(joint).information.rows > 0
+    with pytest.raises(ConfigurationError, match="for method full, which is not enough for method joint: accumulate"):
+        alone.copy(joint)

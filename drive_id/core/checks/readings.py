@@ -163,6 +163,8 @@ def _best_other(runs: Sequence[Excerpt], declared: RoughFit) -> RoughFit | None:
 
 def _mistaken(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | None) -> Message | None:
     """Return a finding if the signals explain far more when taken for others, see :func:`_mistakes`."""
+    if declared.unexplained < _CERTAIN:
+        return None
     some = runs[:: -(-len(runs) // _FEW_RUNS)]
     found: list[tuple[RoughFit, str, str | None]] = []
     for code, signals, taken in _mistakes(pairs=declared.unexplained > _BAD):
@@ -172,7 +174,7 @@ def _mistaken(runs: Sequence[Samples], declared: RoughFit, better: RoughFit | No
         found += [] if fit is None else [(fit, code, signals)]
     fit, code, signals = min(found, key=lambda each: each[0].unexplained, default=(declared, "", None))
     limit = _BETTER_MISTAKEN * declared.unexplained if better is None else better.unexplained
-    if fit.unexplained > limit or declared.unexplained < _CERTAIN:
+    if fit.unexplained > limit:
         return None
     return Message(code, **_compared(declared, fit), signals=signals)
 

@@ -160,7 +160,8 @@ def _held_phase(x_abc: FloatArray, largest: float) -> tuple[int, int, int, float
 def _quantized(name: str, x_abc: FloatArray) -> Iterator[Message]:
     """Yield a phase with few levels."""
     for phase, x in enumerate(x_abc.T):
-        levels = len(np.unique(x))
+        some = len(np.unique(x[: 10 * _FEW_LEVELS]))
+        levels = some if some >= _FEW_LEVELS else len(np.unique(x))
         if 1 < levels < _FEW_LEVELS and len(x) > 10 * _FEW_LEVELS:
             step = float(np.ptp(x)) / (levels - 1)
             unit = "A" if name == "current" else "V"

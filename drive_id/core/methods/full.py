@@ -94,7 +94,9 @@ class FullMethod:
         offset = next((c.value for c in found if c.name == calibration.RESOLVER_OFFSET and c.applied), 0.0)
         frame = TrueFrame(fit, offset, relative=locked)
         psi = frame.flux(grid)
-        sigma = _sigma(frame, grid, inside)
+        around = enclosed(inside)
+        spread = _spread(fit, frame.rows(grid[around]))
+        sigma = _sigma(frame, grid, inside, spread[:, inside[around]])
         told = [said for said in (misfit_found(fit), unseen_warning(fit)) if said is not None]
         warnings = (
             *(said for said in told if said.kind == "warning"),
@@ -109,7 +111,9 @@ class FullMethod:
             changes = np.hstack([scaled, assessment.changes])
             fit = replace(fit, assessment=replace(assessment, changes=changes, sources=sources))
             frame = replace(frame, fit=fit)
-            sigma = _sigma(frame, grid, inside)
+            spread = _spread(fit, frame.rows(grid[around]))
+            sigma = _sigma(frame, grid, inside, spread[:, inside[around]])
+        everywhere = np.where(inside[..., None], sigma, _sigma(frame, grid, around, spread))
         current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         drops, deviation = _inverter(fit, current)
         unknowns = fit.solution.basis.shape[1]
@@ -152,7 +156,7 @@ class FullMethod:
                 *_on_effort(fit, information),
             ),
             fit=earlier,
-            error_modes=_error_modes(frame, grid, inside, sigma, current, deviation),
+            error_modes=_error_modes(frame, grid, around, everywhere, current, deviation),
         )
 
 
@@ -251,36 +255,41 @@ def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: Bo
     return calibration.with_lateness(fit, found)
 
 
-def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> FloatArray:
-    """Return the standard errors (D, Q, 2) of the fluxes, Wb.
+def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray, spread: FloatArray) -> FloatArray:
+    """Return the standard errors (D, Q, 2) of the fluxes, Wb, from their :func:`_spread` at the points ``inside``.
 
     They include the flux that the model cannot follow, see :func:`~drive_id.core.full.lack_of_fit.missed_flux`, unless
     the residuals are those of the inverter near zero crossings, which short windows turn into much larger fluxes.
     """
-    sigma = _by_residuals(frame.fit, frame.rows(grid[inside]), inside)
+    sigma = _by_residuals(spread, inside)
     missed = frame.fit.assessment.misfit.missed_at(rotated(grid[inside], -frame.angle), frame.fit.model.i_max)
     if missed.any() and np.isnan(frame.fit.crossings):
         sigma[inside] = np.sqrt(sigma[inside] ** 2 + missed)
     return sigma
 
 
-def _by_residuals(fit: FullFit, rows: BasisRows, inside: BoolArray) -> FloatArray:
-    """Return the standard errors (D, Q, 2) of forms of the map at the grid points ``inside``.
-
-    They are those for white residuals and a prior, scaled by how much more the residuals spread the forms around there
-    than white ones would: the spread itself, from few passes of the trajectory, is uncertain at a single point.
-    """
+def _spread(fit: FullFit, rows: BasisRows) -> FloatArray:
+    """Return (3, N, 2) how far residuals spread forms of the map: as they are, as white ones with a prior, as these."""
     changes, consistent = fit.assessment.changes[fit.model.map], np.empty(rows.value.shape[:2])
     for start in range(0, len(consistent), _POINTS):  # in batches: memory grows with points times time batches
         part = slice(start, start + _POINTS)
         consistent[part] = fitted_sigma(BasisRows(rows.column[part], rows.value[part]).dot(changes))
+    return np.stack([consistent, *fit.white_sigma(rows)])
+
+
+def _by_residuals(spread: FloatArray, inside: BoolArray) -> FloatArray:
+    """Return the standard errors (D, Q, 2) of forms of the map at the grid points ``inside``, see :func:`_spread`.
+
+    They are those for white residuals and a prior, scaled by how much more the residuals spread the forms around there
+    than white ones would: the spread itself, from few passes of the trajectory, is uncertain at a single point.
+    """
 
     def around(values: FloatArray) -> FloatArray:
         on_grid = np.zeros((*inside.shape, 2))
         on_grid[inside] = values**2
         return np.stack([smoothed(on_grid[..., axis], inside)[inside] for axis in range(2)], axis=-1)
 
-    sigma, (both, white) = np.full((*inside.shape, 2), np.nan), fit.white_sigma(rows)
+    sigma, (consistent, both, white) = np.full((*inside.shape, 2), np.nan), spread
     usual = around(white)
     sigma[inside] = both * np.sqrt(np.divide(around(consistent), usual, out=np.ones_like(usual), where=usual > 0))
     return sigma
@@ -318,15 +327,14 @@ def _inverter(fit: FullFit, current: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def _error_modes(
-    frame: TrueFrame, grid: FloatArray, inside: BoolArray, sigma: FloatArray, current: FloatArray, drops: FloatArray
+    frame: TrueFrame, grid: FloatArray, around: BoolArray, sigma: FloatArray, current: FloatArray, drops: FloatArray
 ) -> ErrorModes | None:
     """Return the joint errors, also where data only enclose the current, for a figure may need the map there.
 
-    ``drops`` (C,) are the standard errors of the inverter's curve at currents (C,), A.
+    ``around`` tells where that is, ``sigma`` (D, Q, 2) are the standard errors there, Wb, and ``drops`` (C,) those of
+    the inverter's curve at currents (C,), A.
     """
-    fit, changes, around = frame.fit, frame.fit.assessment.changes, enclosed(inside)
-    if (beyond := around & ~inside).any():
-        sigma = np.where(beyond[..., None], _sigma(frame, grid, around), sigma)
+    fit, changes = frame.fit, frame.fit.assessment.changes
     columns, shapes = fit.model.phase_columns(), fit.model.shapes(current)
     curve = shapes @ changes[columns].mean(axis=1)
     others = np.concatenate([changes[[RESISTANCE]], curve[-1:], curve])
@@ -340,7 +348,7 @@ def _error_modes(
         around,
         (others, errors),
         lambda psi: rotated(psi, frame.angle),
-        slopes=(slope_rows, _by_residuals(fit, slope_rows, around)[around]),
+        slopes=(slope_rows, _by_residuals(_spread(fit, slope_rows), around)[around]),
     )
 
 

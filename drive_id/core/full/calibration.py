@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -35,6 +36,8 @@ _LEAST_MIRRORED = 0.3
 """Least range of i_q with mirror images, relative to i_max."""
 _LEAST_LOST = 1e-3
 """Share of the voltages that a filter takes from which on it is warned of: what moves the flux by 0.1 %."""
+_AT_A_TIME = 32
+"""Changes of the map whose asymmetry is formed at a time."""
 _MIRROR = np.array([1.0, -1.0])
 """Signs of d and q in the mirror image."""
 CURRENT_ROTATION, RESOLVER_OFFSET = "current_rotation", "resolver_offset"
@@ -170,11 +173,22 @@ class _Symmetry:
         gamma = self.fit.solution.estimate[self.fit.model.map]
         return self._between(angle, *(rows.dot(gamma) for rows in self._rows(angle)))
 
-    def differences(self, angle: float) -> FloatArray:
-        """Return the same (B, N, 2) of each change of the map, by which it is uncertain."""
+    def along(self, angle: float, slope: FloatArray) -> FloatArray:
+        """Return the product (B,) of a slope (N, 2) with the asymmetry of each change of the map."""
         changes = self.fit.assessment.changes[self.fit.model.map]
-        fluxes = ((rows.sparse(len(changes)) @ changes).reshape(len(self.i_dq), 2, -1) for rows in self._rows(angle))
-        return self._between(angle, *(np.moveaxis(flux, -1, 0) for flux in fluxes))
+        weights = (rotated(slope * sign, -angle).ravel() for sign in (np.ones(2), -_MIRROR))
+        rows = (each.sparse(len(changes)).T for each in self._rows(angle))
+        return np.asarray(sum(map(operator.matmul, rows, weights)) @ changes)
+
+    def shows(self, angle: float, left: float) -> bool:
+        """Tell whether an asymmetry, Wb rms, is more than that of the changes by which the map is uncertain."""
+        changes, rows, square = self.fit.assessment.changes[self.fit.model.map], self._rows(angle), 0.0
+        for start in range(0, changes.shape[1], _AT_A_TIME):
+            some = (each.dot(changes[:, start : start + _AT_A_TIME]) for each in rows)
+            square += np.sum(self._between(angle, *(np.moveaxis(flux, -1, 0) for flux in some)) ** 2)
+            if not left > _SIGNIFICANCE * np.sqrt(square / self.i_dq.size):
+                return False  # mostly, few changes tell
+        return True
 
     def _between(self, angle: float, one: FloatArray, other: FloatArray) -> FloatArray:
         return np.asarray(rotated(one, angle) - _MIRROR * rotated(other, angle))
@@ -221,13 +235,13 @@ def calibrate_angle(fit: FullFit, i_dq: FloatArray) -> Calibration:
         return Calibration(name, 0.0, float("nan"), unit, False, Message("resolver_offset.one_sided"))
     symmetry = _Symmetry(fit, i_dq)
     angle = symmetry.best_angle()
-    slope, errors = symmetry.slope(angle), symmetry.differences(angle)
-    sigma = float(np.linalg.norm(np.einsum("na,bna->b", slope, errors)) / np.sum(slope**2))
-    left, by_errors = (float(np.sqrt(np.sum(x**2) / slope.size)) for x in (symmetry.difference(angle), errors))
+    slope = symmetry.slope(angle)
+    sigma = float(np.linalg.norm(symmetry.along(angle, slope)) / np.sum(slope**2))
+    left = float(np.sqrt(np.mean(symmetry.difference(angle) ** 2)))
     size = float(np.abs(fit.model.flux.rows(i_dq).dot(fit.solution.estimate[fit.model.map])).max())
     asymmetric = left > _LARGEST_ASYMMETRY * size or abs(angle) > 0.98 * _LARGEST_ANGLE
     skew = 0.0
-    if not asymmetric and left > _SIGNIFICANCE * by_errors:
+    if not asymmetric and symmetry.shows(angle, left):
         skew = left / float(np.sqrt(np.mean(slope**2)))
     told = {"value": angle, "sigma": float(np.hypot(sigma, skew)), "asymmetry": left / size, "skew": skew}
     key = "resolver_offset"

@@ -119,18 +119,18 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
             break
         caused = [CATALOGUE[name].harmonic for name in solution.spec.effects]
         others = tuple(order for order in new if order not in caused)
-        new, before = others or new, None if others else candidate
-        tried = sums.over(replace(sums.model, orders=(*solution.spec.orders, *new)[:MOST_ORDERS]))
+        new, before = others or new, None if others else (sums, candidate)
+        sums = sums.over(replace(sums.model, orders=(*solution.spec.orders, *new)[:MOST_ORDERS]))
         known = (*known, *new)
         del candidate, found, solution  # their matrices are large
-        solver = Solver.over(tried)
-        start = _undelayed(solver, _aligned(tried, solver, settings, turn), settings)
-        candidate = _candidate(tried, start, settings, turn, noise)
-        if before and not _clearly_better(solver, before.error, candidate.error):  # effects cause what there is
-            candidate = before
+        solver = Solver.over(sums)
+        start = _undelayed(solver, _aligned(sums, solver, settings, turn), settings)
+        del solver
+        candidate = _candidate(sums, start, settings, turn, noise)
+        if before and not _clearly_better(candidate.search.solver, before[1].error, candidate.error):
+            sums, candidate = before  # effects cause what there is
             break
-        sums = tried
-        del solver, before
+        before = None
     if candidate.search.found.taken:  # what they explain may have hidden where the cells are too coarse
         candidate = _with_finer_cells(sums, candidate, settings, turn, bounded)
     return replace(_with_free_maps(sums, candidate, settings, turn, noise), crossings=crossings)

@@ -209,6 +209,23 @@ def test_two_current_sensors_of_unequal_gain_turn_the_currents():
     assert max(found.report.mad_d, found.report.mad_q) < DEVIATION * of_two, "the simulation's currents are corrected"
 
 
+def test_a_second_harmonic_of_the_rotor_is_no_mismatch_of_gains():
+    """Unequal gains, inductances and resolver errors together look like it, and took it: only held-out data tell."""
+    step, count = IPM.theta[1] - IPM.theta[0], 3 * len(IPM.theta)  # 60 degrees, thrice
+    varies = 1.0 + 0.01 * np.cos(2 * step * np.arange(count))
+    machine = replace(
+        IPM, theta=step * np.arange(count), psi_d_theta=np.tile(IPM.psi_d_theta, 3) * varies,
+        psi_q_theta=np.tile(IPM.psi_q_theta, 3) * varies,
+    )  # fmt: skip
+    simulation = run_experiment(machine, replace(GOOD, **BOTH_WAYS), seconds=SECONDS)
+    found = identify([simulation.samples], FitSettings(harmonic_orders=(6, 12)))
+    assert {harmonic.order for harmonic in found.flux_map.harmonics} == {2, 6, 12}
+    assert not {entry.name for entry in found.calibrations if entry.applied} & NAMES
+    assert not any(entry.applied for entry in found.calibrations if "mismatch" in entry.name)
+    assert found.report.warnings == ()
+    assert 100 * max(score(found, simulation.truth)) < FLUX
+
+
 def test_unequal_filters_of_the_current_sensors_are_found_with_their_time_constants():
     """The mean of the three is a latency. They passed for maps that are not reciprocal."""
     simulation = run_experiment(IPM, replace(GOOD, **BOTH_WAYS, current_noise=0.0), seconds=SECONDS)

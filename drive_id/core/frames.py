@@ -62,8 +62,8 @@ def to_abc(x_dq: FloatArray, angle: FloatArray) -> FloatArray:
 
 
 def phases(x_s: ComplexArray) -> FloatArray:
-    """Return the phase quantities (N, 3) of a stator-frame space vector (N,), without zero sequence."""
-    return np.asarray((x_s[:, None] * np.exp(-1j * PHASE_SHIFTS)).real)
+    """Return the phase quantities (..., 3) of a stator-frame space vector (...), without zero sequence."""
+    return np.asarray((x_s[..., None] * np.exp(-1j * PHASE_SHIFTS)).real)
 
 
 def as_pairs(x: ComplexArray) -> FloatArray:

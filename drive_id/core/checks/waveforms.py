@@ -179,9 +179,10 @@ def _clipped_currents(i_abc: FloatArray) -> Iterator[Message]:
 
 
 def _clipped_voltages(u_abc: FloatArray) -> Iterator[Message]:
-    at_limit = np.abs(u_abc) >= (1 - _AT_LIMIT) * np.abs(u_abc).max()
-    if np.mean(at_limit.sum(axis=1) == 1) > _CLAMPED:
-        yield Message("voltage_clipped.clamped", limit=float(np.abs(u_abc).max()))
+    magnitude = np.abs(u_abc)
+    largest = float(magnitude.max())
+    if np.mean((magnitude >= (1 - _AT_LIMIT) * largest).sum(axis=1) == 1) > _CLAMPED:
+        yield Message("voltage_clipped.clamped", limit=largest)
         return
     between = np.ptp(u_abc, axis=1) / np.sqrt(3)  # of two phases, as far as a side of the hexagon from the centre
     kinds = [("amplitude", np.abs(frames.space_vector(u_abc))), ("hexagon", between)]

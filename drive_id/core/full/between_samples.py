@@ -126,8 +126,8 @@ def _by_decay(
     speed = turned[:, None] / duration
     i_dq, flux = (x[:, :1] + place * np.diff(x, axis=1) for x in (windows.measured, psi))
     i_s = i_dq * np.exp(1j * (windows.angle[:, :1] + place * turned[:, None]))
-    drops = [np.interp(i, current, own) for i, own in zip(frames.phases(i_s.ravel()).T, drop, strict=True)]
-    lost = frames.space_vector(np.stack(drops, axis=-1)).reshape(i_s.shape) * windows.drop_scale[:, None]
+    drops = [np.interp(i, current, own) for i, own in zip(np.moveaxis(frames.phases(i_s), -1, 0), drop, strict=True)]
+    lost = frames.space_vector(np.stack(drops, axis=-1)) * windows.drop_scale[:, None]
     middle = np.exp(1j * (windows.angle[:, :1] + 0.5 * (place[1:] + place[:-1]) * turned[:, None]))
 
     def through(x: ComplexArray) -> ComplexArray:

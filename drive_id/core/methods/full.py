@@ -94,9 +94,7 @@ class FullMethod:
         offset = next((c.value for c in found if c.name == calibration.RESOLVER_OFFSET and c.applied), 0.0)
         frame = TrueFrame(fit, offset, relative=locked)
         psi = frame.flux(grid)
-        around = enclosed(inside)
-        spread = _spread(fit, frame.rows(grid[around]))
-        sigma = _sigma(frame, grid, inside, spread[:, inside[around]])
+        sigma, everywhere = _sigmas(frame, grid, inside)
         told = [said for said in (misfit_found(fit), unseen_warning(fit)) if said is not None]
         warnings = (
             *(said for said in told if said.kind == "warning"),
@@ -111,9 +109,7 @@ class FullMethod:
             changes = np.hstack([scaled, assessment.changes])
             fit = replace(fit, assessment=replace(assessment, changes=changes, sources=sources))
             frame = replace(frame, fit=fit)
-            spread = _spread(fit, frame.rows(grid[around]))
-            sigma = _sigma(frame, grid, inside, spread[:, inside[around]])
-        everywhere = np.where(inside[..., None], sigma, _sigma(frame, grid, around, spread))
+            sigma, everywhere = _sigmas(frame, grid, inside)
         current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         drops, deviation = _inverter(fit, current)
         unknowns = fit.solution.basis.shape[1]
@@ -156,7 +152,7 @@ class FullMethod:
                 *_on_effort(fit, information),
             ),
             fit=earlier,
-            error_modes=_error_modes(frame, grid, around, everywhere, current, deviation),
+            error_modes=_error_modes(frame, grid, enclosed(inside), everywhere, current, deviation),
         )
 
 
@@ -253,6 +249,14 @@ def _calibrations(evidence: Evidence, fit: FullFit, grid: FloatArray, inside: Bo
     if settings.calibrate_currents:
         found += calibration.calibrate_currents(fit, evidence.i_max)
     return calibration.with_lateness(fit, found)
+
+
+def _sigmas(frame: TrueFrame, grid: FloatArray, inside: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """Return the standard errors (D, Q, 2) of the fluxes where data are, and also where data only enclose, Wb."""
+    around = enclosed(inside)
+    spread = _spread(frame.fit, frame.rows(grid[around]))  # takes longest, and holds for both
+    sigma = _sigma(frame, grid, inside, spread[:, inside[around]])
+    return sigma, np.where(inside[..., None], sigma, _sigma(frame, grid, around, spread))
 
 
 def _sigma(frame: TrueFrame, grid: FloatArray, inside: BoolArray, spread: FloatArray) -> FloatArray:

@@ -83,7 +83,7 @@ class EffectColumns:
         """
         current = self.model.i_max * np.linspace(-_WIDEST, _WIDEST, _DROP_POINTS)
         drop = (self.model.shapes(current) @ self._drops).T
-        windows, rise = at.windows, at.filter * (1j * at.windows.speed * at.currents + at.windows.slope)
+        windows, rise = at.windows, at.filter * at.rate
         later, out = (np.arange(_FILTER_STEPS) + 0.5) / _FILTER_STEPS, np.zeros(rise.shape, np.complex128)
         for axis, table in zip(np.exp(1j * frames.PHASE_SHIFTS), drop, strict=True):
             i, v = ((x * at.turn * axis.conj()).real[..., None] for x in (at.currents, rise))
@@ -106,8 +106,7 @@ class EffectColumns:
         turn: ComplexArray = np.exp(1j * windows.angle)
         i_s = windows.measured * turn
         fallen = self._fallen(i_s, windows)
-        drop = frames.space_vector(fallen.reshape(-1, 3)).reshape(i_s.shape)
-        induced = (windows.held - float(self.estimate[RESISTANCE]) * i_s - drop) / turn
+        induced = (windows.held - float(self.estimate[RESISTANCE]) * i_s - frames.space_vector(fallen)) / turn
         part = getattr(windows, self.divided)
         return Ends(windows, windows.measured, turn, induced, fallen, self.pole_pairs, part, self.steady or 0.0)
 
@@ -263,9 +262,8 @@ class EffectColumns:
 
     def _fallen(self, i_s: ComplexArray, windows: Windows) -> FloatArray:
         """Return the inverter's drop (N, 2, 3) in each phase at the ends, V."""
-        shapes = self.model.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
-        drops = np.einsum("nps,sp->np", shapes, self._drops).reshape(*i_s.shape, 3)
-        return np.asarray(drops * windows.drop_scale[:, None, None])
+        shapes = self.model.shapes(frames.phases(i_s))  # (N, 2, 3, S)
+        return np.asarray(np.einsum("nmps,sp->nmp", shapes, self._drops) * windows.drop_scale[:, None, None])
 
 
 def _as_complex(pairs: FloatArray) -> ComplexArray:

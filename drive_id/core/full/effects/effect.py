@@ -68,6 +68,11 @@ class Ends:
     part: IntArray  # (N,), number of the part of the data, see :func:`divided`
     steady: float  # the one speed of all data, rad/s; 0 where there are several
 
+    @property
+    def rate(self) -> ComplexArray:
+        """Time derivative (N, 2) of the current's space vector, turned to the rotor frame, A/s."""
+        return self.windows.slope + 1j * self.windows.speed * self.currents
+
     def in_runs(self, waves: Sequence[FloatArray | ComplexArray]) -> list[Any]:
         """Return waves (N,) or (N, 2) in each run, as columns of their own."""
         runs = [self.windows.run == k for k in range(MOST_RUNS)]

@@ -82,11 +82,10 @@ class CurrentFilters(DriveEffect):
         return known.sensors
 
     def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
-        rate = at.turn * (at.windows.slope + 1j * at.windows.speed * at.currents)
-        return [each / at.turn for each in _above_mean(frames.phases(rate.ravel()).reshape(*rate.shape, 3))]
+        return [each / at.turn for each in _above_mean(frames.phases(at.turn * at.rate))]
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        across = frames.phases((at.windows.held - at.turn * at.induced).ravel()).reshape(at.fallen.shape)
+        across = frames.phases(at.windows.held - at.turn * at.induced)
         across = across + at.fallen.mean(axis=2, keepdims=True) - 0.5 * at.fallen
         read = _above_mean(across[:, 1] - across[:, 0])
         return [column + own for column, own in zip(super().columns(at), read, strict=True)]

@@ -106,9 +106,8 @@ class LateCompensation(DriveEffect):
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         windows, ago = at.windows, _LATENESS / 2 * at.windows.period[:, None]
-        i_s = at.turn * (at.currents - ago * (windows.slope + 1j * windows.speed * at.currents))
-        shapes = at.shapes(frames.phases(i_s.ravel()))  # (2 N, 3, S)
-        *others, widest = (frames.space_vector(shapes[..., k]).reshape(i_s.shape) for k in range(self.width))
+        shapes = at.shapes(frames.phases(at.turn * (at.currents - ago * at.rate)))  # (N, 2, 3, S)
+        *others, widest = (frames.space_vector(shapes[..., k]) for k in range(self.width))
         return [windows.drop_scale * between(drop) for drop in (widest, *(other - widest for other in others))]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102

@@ -392,7 +392,8 @@ class WindowSums:
         self.windows += len(whole)
         self._last = self._segment
         if isinstance(windows, Windows):
-            short = windows.part(windows.short)
+            windows = windows if windows.acceleration is not None else windows.accelerated()
+            whole, short = windows.part(~windows.short), windows.part(windows.short)
             for known, new in ((self._kept, whole), (self._short, short)):
                 known[self._segment] = Windows.joined([known[self._segment], new] if self._segment in known else [new])
             self._thin()

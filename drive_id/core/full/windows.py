@@ -22,7 +22,7 @@ from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.integrals import Reached, Stretch, integrated, lag_weights, spacing
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
-from drive_id.types import BoolArray, FloatArray, IntArray, Samples
+from drive_id.types import TINY, BoolArray, FloatArray, IntArray, Samples
 
 Own = TypeVar("Own", bound="Terms")
 
@@ -60,6 +60,10 @@ _CUBIC = np.array([-1, 4, 4, -1]) / 6
 """Weights of the cubic through these samples at the end of the window."""
 _ROUNDING = 1e-9
 """Of stamps, s: a time that is a multiple of a batch must not fall into the batch before."""
+_ACCELERATED = 0.01
+"""To each side of an end, over which the slope of the speeds is its acceleration, s: follows swings up to 20 Hz."""
+_FILLED = 1 / 16
+"""Of its square, the least variance of the times of these speeds: 1/12 if one side is filled."""
 _FEWEST = 4096
 """Samples collected before windows are cut, so that overlaps cost little."""
 _ADJACENT = 4096
@@ -105,6 +109,9 @@ class Terms:
     # ``EffectColumns.moved``; default: 0
     moved: ComplexArray | None = None
     righted: FloatArray | None = None
+    # (N, 2), second and third derivative of the angle at [start, end], rad/s^2 and rad/s^3, see ``Windows.accelerated``
+    acceleration: FloatArray | None = None
+    jerk: FloatArray | None = None
     # (N, EFFECT_COLUMNS), columns of the regression that depend on a map, see :mod:`drive_id.core.full.effects`
     effects: ComplexArray | None = None
     weight: FloatArray | None = None  # (N,), of the squared residuals; default: 1
@@ -168,6 +175,17 @@ class Windows(Terms):
             return self
         return self.part(np.sort(np.random.default_rng(0).choice(len(self), SEARCHED, replace=False)))
 
+    def accelerated(self) -> Windows:
+        """Return the windows with acceleration and jerk, from the speeds around their ends; 0 where there are few."""
+        acceleration, jerk = np.zeros((2, *self.speed.shape))
+        ends = self.time[:, None] + self.duration[:, None] * [0.0, 1.0]
+        for run in np.unique(self.run):
+            own = self.run == run
+            at, speed = ends[own] - ends[own][0, 0], self.speed[own]
+            acceleration[own] = _slopes(at, speed - speed[0, 0], _ACCELERATED)
+            jerk[own] = _slopes(at, acceleration[own], _ACCELERATED)
+        return replace(self, acceleration=acceleration, jerk=jerk)
+
     @property
     def measured(self) -> ComplexArray:
         """Measured currents (N, 2) in the frame of ``angle`` at [start, end], A."""
@@ -175,7 +193,7 @@ class Windows(Terms):
         return i_dq if self.moved is None else i_dq - self.moved
 
 
-_ADDED = ("moved", "righted", "effects", "weight")
+_ADDED = ("moved", "righted", "acceleration", "jerk", "effects", "weight")
 MEASURED = tuple(field.name for field in fields(Windows) if field.name not in _ADDED)
 """Arrays of windows that are computed from samples alone."""
 
@@ -425,6 +443,20 @@ class WindowCutter:
 def interval(time: FloatArray, length: float) -> IntArray:
     """Return the number (N,) of the interval of ``length`` seconds of each time (N,), s."""
     return np.asarray((time + _ROUNDING) / length).astype(np.int64)
+
+
+def _slopes(time: FloatArray, x: FloatArray, reach: float) -> FloatArray:
+    """Return the slopes of lines by least squares through all x (...) at times within ``reach`` of each time (...)."""
+    order = np.argsort(time, axis=None)
+    t, y = time.ravel()[order], x.ravel()[order]
+    sums = np.cumsum(np.pad([np.ones_like(t), t, y, t * t, t * y], ((0, 0), (1, 0))), axis=1)
+    count, by_t, by_y, by_tt, by_ty = (
+        sums[:, np.searchsorted(t, t + reach, "right")] - sums[:, np.searchsorted(t, t - reach)]
+    )
+    variance = by_tt / count - (by_t / count) ** 2
+    slopes, filled = np.zeros_like(x), variance > _FILLED * reach**2
+    slopes.ravel()[order[filled]] = ((by_ty - by_t * by_y / count) / count / np.maximum(variance, TINY))[filled]
+    return slopes
 
 
 def kept_of(number: IntArray, every: int) -> BoolArray:

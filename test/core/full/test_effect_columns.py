@@ -281,6 +281,11 @@ def columns(estimate):
     return [EffectColumns(MODEL, estimate, float(windows.heat.max()), U_DC, PAIRS)(windows) for windows in (one, two)]
 
 
+def ends(windows):
+    """Return the times (N, 2) of the ends of windows, s."""
+    return windows.time[:, None] + windows.duration[:, None] * [0.0, 1.0]
+
+
 def residual(windows, estimate):
     left = design(MODEL, windows) @ estimate
     return left[:, 0] + 1j * left[:, 1]
@@ -304,6 +309,23 @@ def test_a_column_is_what_a_little_of_the_effect_changes(case, estimate, columns
     plus, minus = (residual(each, estimate) for each in windows)
     column = columns[0][:, EFFECTS[case.split(",")[0]].start + number]
     close(windows[0], column, (plus - minus) / (2 * size), OF_SAMPLING.get(case, NEAR))
+
+
+def test_a_tracked_angle_lags_by_acceleration_and_jerk(estimate):
+    """The jerk counts as far as the time constant of the loop is known."""
+    windows, size, known, turn = cut(Drive().record()), 1e-5, estimate.copy(), 2 * np.pi * 5.0
+    known[MODEL.effect("angle_tracking")] = size
+    jerk = turn**2 * 60.0 * np.cos(turn * ends(windows))
+    accelerated = replace(windows, acceleration=turn * 60.0 * np.sin(turn * ends(windows)), jerk=jerk)
+
+    def lag(t):
+        return turn * 60.0 * np.sin(turn * t) - 1.7 * np.sqrt(size) * turn**2 * 60.0 * np.cos(turn * t)
+
+    plus, minus = (
+        residual(cut(Drive(angle_error=lambda t, x=x: -x * lag(t)).record()), estimate) for x in (1e-6, -1e-6)
+    )
+    columns = EffectColumns(MODEL, known, 1.0, np.nan, None)(accelerated)
+    close(windows, columns[:, EFFECTS["angle_tracking"].start], (plus - minus) / 2e-6, NEAR)
 
 
 @pytest.mark.parametrize(("number", "constant"), [(0, 0.1), (2, 0.4)])

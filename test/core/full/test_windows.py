@@ -251,3 +251,21 @@ def test_windows_at_rest_are_left_out_whatever_the_pieces(samples):
     pieces = [*cutter.cut(between(samples, 0, 5001), idle[:5001])]
     pieces += [*cutter.cut(between(samples, 5000, len(samples)), idle[5000:], continues=True), *cutter.finish()]
     np.testing.assert_allclose(Windows.joined(pieces).time, moving.time)
+
+
+def test_acceleration_and_jerk_are_those_of_the_speeds_within_a_run(samples):
+    """Up to the ends of a run, from one side."""
+    windows, turn = cut(samples), 2 * np.pi * 5.0
+    time, late = windows.time[:, None] + windows.duration[:, None] * [0.0, 1.0], windows.time > 1.0
+    speed = np.where(late[:, None], -900.0, 600.0) + 60.0 * np.sin(turn * time)
+    swinging = dataclasses.replace(windows, speed=speed, run=late.astype(int)).accelerated()
+    inside = (np.abs(time - np.rint(time)) > 0.02) & (time < windows.time[-1] - 0.02)
+    for found, of_speed, near in (
+        (swinging.acceleration, turn * np.cos(turn * time), 0.2),
+        (swinging.jerk, -(turn**2) * np.sin(turn * time), 0.6),
+    ):
+        error = np.abs(found / 60.0 - of_speed) / np.abs(of_speed).max()
+        assert error.max() < near
+        assert error[inside].max() < 0.04
+    few = dataclasses.replace(swinging, run=np.arange(len(windows)) // 3).accelerated()
+    assert not few.acceleration.any()

@@ -24,7 +24,14 @@ from drive_id.core.full.effects.phases import (
 from drive_id.core.full.effects.resolver import Eccentricity, EccentricRotor, ResolverOrder
 from drive_id.core.full.effects.sensors import CurrentGains, CurrentOffset, CurrentRotation
 from drive_id.core.full.effects.skin import SkinEffect
-from drive_id.core.full.effects.timing import CurrentLatency, FluxLag, LateCompensation, Latency, LongFluxLag
+from drive_id.core.full.effects.timing import (
+    AngleTracking,
+    CurrentLatency,
+    FluxLag,
+    LateCompensation,
+    Latency,
+    LongFluxLag,
+)
 from drive_id.core.full.integrals import LAGS
 
 CATALOGUE: dict[str, DriveEffect] = {
@@ -35,6 +42,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         Coercivity("coercivity", "iron_loss_current", "A"),
         CurrentLatency("current_latency"),
         Latency("angle_latency"),
+        AngleTracking("angle_tracking"),
         LateCompensation("late_compensation"),
         FluxLag("flux_lag"),
         *(LongFluxLag(f"flux_lag_{1e3 * lag:g}ms", lag) for lag in LAGS),

@@ -108,7 +108,10 @@ class EffectColumns:
         fallen = self._fallen(i_s, windows)
         induced = (windows.held - float(self.estimate[RESISTANCE]) * i_s - frames.space_vector(fallen)) / turn
         part = getattr(windows, self.divided)
-        return Ends(windows, windows.measured, turn, induced, fallen, self.pole_pairs, part, self.steady or 0.0)
+        tracking = float(np.sqrt(max(self._value("angle_tracking")[0], 0.0)))
+        return Ends(
+            windows, windows.measured, turn, induced, fallen, self.pole_pairs, part, self.steady or 0.0, tracking
+        )
 
     def _at(self, windows: Windows) -> Linearized:
         ends, i_dq, through = self._ends(windows), _as_complex(windows.i_dq), self._jacobian(windows)
@@ -227,7 +230,7 @@ class EffectColumns:
             cutter.restart(0.0, number)
             voltage = np.zeros(len(samples), np.complex128)
             for start, windows in cutter.adjacent(samples, length):
-                taken = of_drive(windows) @ estimate[self.model.effects] / windows.duration
+                taken = of_drive(windows.accelerated()) @ estimate[self.model.effects] / windows.duration
                 voltage[start : start + length * len(taken)] = np.repeat(taken, length)
             out.append(frames.phases(voltage))
         return out

@@ -67,6 +67,7 @@ class Ends:
     pole_pairs: int | None
     part: IntArray  # (N,), number of the part of the data, see :func:`divided`
     steady: float  # the one speed of all data, rad/s; 0 where there are several
+    tracking: float  # square root of the lag of the angle per acceleration, s
 
     @property
     def rate(self) -> ComplexArray:

@@ -20,6 +20,8 @@ _LATENESS = 1.5
 """Of the currents by which firmware compensates, sample periods: it takes those of the sample before, and holds."""
 _MOST_TURNED = 0.25
 """Angle, rad, by which a late angle or current may turn the flux."""
+_DAMPED = 1.7
+"""Twice the damping ratio of a tracking loop: 1.4 to 2 are usual."""
 _LARGEST_LAG = 0.2
 """Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
 _OPPOSED = 0.1
@@ -70,6 +72,27 @@ class Latency(DriveEffect):
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield from _late(self.name, found)
+
+
+@dataclass(frozen=True)
+class AngleTracking(DriveEffect):
+    """The angle lags while the rotor accelerates, as that of a loop of the second type with a natural frequency w.
+
+    The error of the angle is -(a - 2 zeta a' / w) / w^2 with the acceleration a, at swings slower than w; the unknown
+    is 1 / w^2.
+    """
+
+    positive, cause = True, "angle"
+
+    def waves(self, at: Ends) -> list[FloatArray]:  # noqa: D102
+        acceleration, jerk = at.windows.acceleration, at.windows.jerk
+        return [] if acceleration is None or jerk is None else [acceleration - _DAMPED * at.tracking * jerk]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        value, sigma = float(found.value[0]), float(found.sigma[0])
+        frequency = 1 / (2 * np.pi * np.sqrt(max(value, TINY)))
+        told = {"frequency": frequency, "sigma_frequency": 0.5 * frequency * sigma / max(value, TINY)}
+        yield found.entry(self.name, value, sigma, "s^2", **told)
 
 
 @dataclass(frozen=True)

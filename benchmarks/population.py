@@ -65,8 +65,8 @@ CAUSES = {
         "late_compensation", "phase_drop", "inverter_drop_[abc]", "drop_of_phase",
     ),
     "dc": (
-        "dc_link*", "link_*", "drop_by_link", "inverter_drop_by_link", "voltage_clipped", "misfit",
-        "misfit.small_currents",
+        "dc_link*", "link_*", "drop_by_link", "drop_by_sag", "inverter_drop_by_link", "inverter_drop_sag",
+        "voltage_clipped", "misfit", "misfit.small_currents",
     ),
     "timing": (
         "angle_latency", "angle_tracking", "current_latency", "voltage_delay*", "time_shift", "decimated", "outlier",

@@ -29,7 +29,7 @@ NEAR = 0.02
 OF_SAMPLING = {
     "flux_lag_1ms": 0.06, "current_latency": 0.03, "current_offset": 0.1, "current_offset, imaginary": 0.1,
     "late_magnet_heating": 0.03, "drop_by_link": 0.04, "link_rise": 0.06, "current_filters": 0.07,
-    "current_filters, of b": 0.07,
+    "current_filters, of b": 0.07, "link_sag, of the drop": 0.03,
 }  # fmt: skip
 """Relative error of a column; larger where half a sample of 0.1 ms counts: of a lag of 1 ms, and as the current of this
 drive is smooth between the samples, where that of a real drive has the ripple of the held voltage; and where coarse
@@ -200,6 +200,22 @@ def power(t, u_s):
     return 1.5 * (u_s * plain_current(t + 0.5 * PERIOD).conj()).real
 
 
+def fallen(t, u_s):
+    """Return the drop times the power that a machine behind a dead time takes from the link, V W."""
+    drop = drop_of(plain_current(t + 0.5 * PERIOD))
+    return drop * power(t, u_s - drop)
+
+
+def fallen_drop(x):
+    """Let the drop, which takes no power from the link, fall with it by x per power, and the link by so much less."""
+
+    def commanded(t, u_s):
+        left = u_s - drop_of(plain_current(t + 0.5 * PERIOD))
+        return u_s + x * (left * power(t, left) - u_s * power(t, u_s))
+
+    return Drive(logged=commanded)
+
+
 CASES = {
     "iron_loss": (0, iron, 0.05),
     "hysteresis": (0, lambda x: iron(x, 1 / SPEED), 10.0),
@@ -224,6 +240,8 @@ CASES = {
         0, lambda x: Drive(resistive=lambda t, i_s: R * i_s + x * 0.01 * np.cos(LINK_TURN * t) * drop_of(i_s)), 0.5
     ),
     "link_sag": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 - x * power(t, u_s))), 1e-6),
+    "link_sag, of the drop": (1, fallen_drop, 1e-6),
+    "drop_by_sag": (0, lambda x: Drive(logged=lambda t, u_s: u_s - x * fallen(t, u_s)), 1e-5),
     "link_rise": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 + x * (power(t, u_s) < 0))), 1e-3),
     "phase_resistance": (0, unequal, 1e-3),
     "phase_inductance": (

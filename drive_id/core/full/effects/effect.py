@@ -155,7 +155,8 @@ class Reported:
         """Return a value and its standard error, shown in a unit of which an SI unit is ``scale``; ``more`` is told."""
         rivals = ",".join(self.rivals) or None
         told = {"value": value, "sigma": sigma, **more, "rivals": rivals, "several_speeds": self.several_speeds}
-        shown, doubtful = float(scale * value), self.open or name == VOLTAGE_MISMATCH
+        open_ = self.open and abs(value) > CERTAIN * sigma  # of several values, those that are nothing are not in doubt
+        shown, doubtful = float(scale * value), open_ or name == VOLTAGE_MISMATCH
         return Calibration(name, shown, float(scale * sigma), unit, True, Message(key or name, **told), doubtful)
 
     def of_parts(self) -> Iterator[tuple[int, dict[str, float], float, float]]:

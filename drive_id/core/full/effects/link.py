@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import (
     CERTAIN,
@@ -109,7 +110,13 @@ class LinkRipple(DriveEffect):
 
 @dataclass(frozen=True)
 class LinkSag(DriveEffect):
-    """Relative fall of the link per power p that is taken: ``int u_s p``."""
+    """Relative fall of the link per power p that is taken from it: ``int u_s p``, and what that is too much by.
+
+    A dead time takes its drop from the link's voltage: the drop falls as well, and its power is not taken, so that
+    it is ``int (u_s - drop) (p - p_drop)``. For the drop of the devices, neither holds: the difference has an unknown.
+    """
+
+    width = 2
 
     of_link, at_rest, positive = True, True, True
 
@@ -117,10 +124,30 @@ class LinkSag(DriveEffect):
         return not known.link
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return [at.windows.loaded]
+        spared, taken = _powers(at)
+        return [at.windows.loaded, -at.windows.voltage * spared - at.drop * taken]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield found.entry("link_sag", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
+
+
+@dataclass(frozen=True)
+class DropBySag(DriveEffect):
+    """Relative fall of the drop, and of nothing else, per power that is taken: ``-int drop (p - p_drop)``.
+
+    As under a link that falls where the drive corrects its voltages for that.
+    """
+
+    at_rest, positive = True, True
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return not known.link
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [-at.drop * _powers(at)[1]]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield found.entry("inverter_drop_sag", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
 
 
 @dataclass(frozen=True)
@@ -133,14 +160,25 @@ class LinkRise(DriveEffect):
         return not known.link
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        windows, voltage = at.windows, at.windows.voltage
-        mean = (windows.loaded * voltage.conj()).real / np.maximum(np.abs(voltage) ** 2, TINY)
+        windows, voltage, mean = at.windows, at.windows.voltage, _mean_power(at.windows)
         ends = 1.5 * (windows.held * (at.currents * at.turn).conj()).real
         half = np.maximum(0.5 * np.abs(ends[:, 1] - ends[:, 0]), TINY)
         return [-voltage * np.clip(0.5 - 0.5 * mean / half, 0.0, 1.0)]  # the share of a line that is negative
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield found.entry("link_rise", found.value[0], found.sigma[0], "1")
+
+
+def _powers(at: Linearized) -> tuple[FloatArray, FloatArray]:
+    """Return the power (N,) of the drop, and that which a machine behind a dead time takes from the link, W."""
+    spared = np.sum(at.fallen * frames.phases(at.currents * at.turn), axis=2).mean(axis=1)
+    return spared, _mean_power(at.windows) - spared
+
+
+def _mean_power(windows: Windows) -> FloatArray:
+    """Return the power (N,) that the machine takes, weighted by the voltage, W."""
+    voltage = windows.voltage
+    return np.asarray((windows.loaded * voltage.conj()).real / np.maximum(np.abs(voltage) ** 2, TINY))
 
 
 @dataclass(frozen=True, eq=False)

@@ -65,7 +65,7 @@ CAUSES = {
         "late_compensation", "phase_drop", "inverter_drop_[abc]", "drop_of_phase",
     ),
     "dc": (
-        "dc_link*", "link_*", "drop_by_link", "drop_by_sag", "inverter_drop_by_link", "inverter_drop_sag",
+        "dc_link*", "link_*", "device_sag", "drop_by_link", "drop_by_sag", "inverter_drop_by_link", "inverter_drop_sag",
         "voltage_clipped", "misfit", "misfit.small_currents",
     ),
     "timing": (

@@ -270,7 +270,7 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
         weak = _weakest(sums.model, solution, own)  # another model moves an effect: it does not show that there is none
         if weak is None:
             break
-        effects = tuple(name for name in solution.spec.effects if name != weak)
+        effects = tuple(name for name in solution.spec.effects if weak not in (name, CATALOGUE[name].beside))
         with_weak, uncorrected = uncorrected, solver.solve(replace(solution.spec, effects=effects))
         left_out[weak] = with_weak.estimate - uncorrected.estimate
     by_rivals = _with_rivals(solver, uncorrected, selection)

@@ -29,7 +29,7 @@ NEAR = 0.02
 OF_SAMPLING = {
     "flux_lag_1ms": 0.06, "current_latency": 0.03, "current_offset": 0.1, "current_offset, imaginary": 0.1,
     "late_magnet_heating": 0.03, "drop_by_link": 0.04, "link_rise": 0.06, "current_filters": 0.07,
-    "current_filters, of b": 0.07, "link_sag, of the drop": 0.03,
+    "current_filters, of b": 0.07, "device_sag": 0.03,
 }  # fmt: skip
 """Relative error of a column; larger where half a sample of 0.1 ms counts: of a lag of 1 ms, and as the current of this
 drive is smooth between the samples, where that of a real drive has the ripple of the held voltage; and where coarse
@@ -206,12 +206,22 @@ def fallen(t, u_s):
     return drop * power(t, u_s - drop)
 
 
-def fallen_drop(x):
-    """Let the drop, which takes no power from the link, fall with it by x per power, and the link by so much less."""
+def fallen_link(x):
+    """Let the link fall by x per power that is taken from it, and the drop, which takes no power, with it."""
 
     def commanded(t, u_s):
         left = u_s - drop_of(plain_current(t + 0.5 * PERIOD))
-        return u_s + x * (left * power(t, left) - u_s * power(t, u_s))
+        return u_s + x * left * power(t, left)
+
+    return Drive(logged=commanded)
+
+
+def sparing_devices(x):
+    """Let the drop stay and take its power: by how much a link that falls so changes the voltages more."""
+
+    def commanded(t, u_s):
+        left = u_s - drop_of(plain_current(t + 0.5 * PERIOD))
+        return u_s + x * (u_s * power(t, u_s) - left * power(t, left))
 
     return Drive(logged=commanded)
 
@@ -239,8 +249,8 @@ CASES = {
     "drop_by_link": (
         0, lambda x: Drive(resistive=lambda t, i_s: R * i_s + x * 0.01 * np.cos(LINK_TURN * t) * drop_of(i_s)), 0.5
     ),
-    "link_sag": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 - x * power(t, u_s))), 1e-6),
-    "link_sag, of the drop": (1, fallen_drop, 1e-6),
+    "link_sag": (0, fallen_link, 1e-6),
+    "device_sag": (0, sparing_devices, 1e-6),
     "drop_by_sag": (0, lambda x: Drive(logged=lambda t, u_s: u_s - x * fallen(t, u_s)), 1e-5),
     "link_rise": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 + x * (power(t, u_s) < 0))), 1e-3),
     "phase_resistance": (0, unequal, 1e-3),

@@ -11,7 +11,7 @@ from drive_id.core.full.effects.heat import (
     MagnetRecordings,
 )
 from drive_id.core.full.effects.iron import Coercivity, EddyCurrents, Hysteresis
-from drive_id.core.full.effects.link import DcLink, DropByLink, DropBySag, LinkRipple, LinkRise, LinkSag
+from drive_id.core.full.effects.link import DcLink, DeviceSag, DropByLink, DropBySag, LinkRipple, LinkRise, LinkSag
 from drive_id.core.full.effects.parts import AngleOfParts, DropOfParts, UnlikeParts
 from drive_id.core.full.effects.phases import (
     CurrentFilters,
@@ -63,6 +63,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         DropByLink("drop_by_link"),
         LinkRipple("link_ripple"),
         LinkSag("link_sag"),
+        DeviceSag("device_sag"),
         DropBySag("drop_by_sag"),
         LinkRise("link_rise"),
         PhaseResistance("phase_resistance"),

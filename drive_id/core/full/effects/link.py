@@ -110,13 +110,10 @@ class LinkRipple(DriveEffect):
 
 @dataclass(frozen=True)
 class LinkSag(DriveEffect):
-    """Relative fall of the link per power p that is taken from it: ``int u_s p``, and what that is too much by.
+    """Relative fall of the link per power p that is taken from it: ``int (u_s - drop) (p - p_drop)``.
 
-    A dead time takes its drop from the link's voltage: the drop falls as well, and its power is not taken, so that
-    it is ``int (u_s - drop) (p - p_drop)``. For the drop of the devices, neither holds: the difference has an unknown.
+    A dead time takes its drop from the link's voltage: the drop falls as well, and its power is not taken.
     """
-
-    width = 2
 
     of_link, at_rest, positive = True, True, True
 
@@ -124,11 +121,26 @@ class LinkSag(DriveEffect):
         return not known.link
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        spared, taken = _powers(at)
-        return [at.windows.loaded, -at.windows.voltage * spared - at.drop * taken]
+        return [at.windows.loaded - _of_drop(at)]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield found.entry("link_sag", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
+
+
+@dataclass(frozen=True)
+class DeviceSag(DriveEffect):
+    """The share of the drop that is of the devices: it stays as it is, and its power is taken from the link."""
+
+    at_rest, positive, beside = True, True, "link_sag"
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return not known.link
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [_of_drop(at)]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield found.entry("link_sag_of_devices", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
 
 
 @dataclass(frozen=True)
@@ -173,6 +185,12 @@ def _powers(at: Linearized) -> tuple[FloatArray, FloatArray]:
     """Return the power (N,) of the drop, and that which a machine behind a dead time takes from the link, W."""
     spared = np.sum(at.fallen * frames.phases(at.currents * at.turn), axis=2).mean(axis=1)
     return spared, _mean_power(at.windows) - spared
+
+
+def _of_drop(at: Linearized) -> ComplexArray:
+    """Return ``int (u_s p - (u_s - drop) (p - p_drop))`` (N,), V^2 A s."""
+    spared, taken = _powers(at)
+    return np.asarray(at.windows.voltage * spared + at.drop * taken)
 
 
 def _mean_power(windows: Windows) -> FloatArray:

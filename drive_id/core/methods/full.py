@@ -54,6 +54,7 @@ _LARGE_SHARE = 0.01
 """Of R, by which the shape of a wide inverter curve changes R."""
 _LARGE_OFFSET = 0.005  # of a current sensor, in i_max, for a warning
 _LARGE_MISMATCH = 0.01  # of gains, for a warning
+_SURE = 2.0  # standard errors by which either must exceed that
 _LIMITS = Limits(unexplained=0.05, refused=0.2, mad=0.03, reversed=0.005, remedy="passive_maps", impossible=True)
 _FEW_COVERED = 0.5  # share of the disc with data below which more of it helps most
 _WHOLE_DISC = 0.02  # share of the disc without data up to which it is whole
@@ -406,7 +407,8 @@ def _on_calibration(evidence: Evidence, fit: FullFit, calibrations: Sequence[Cal
         largest = _LARGE_OFFSET * evidence.i_max if c.unit == "A" else _LARGE_MISMATCH
         of_sensors = c.name.startswith(("current_offset", "current_gain", calibration.CURRENT_ROTATION))
         crossed = c.name == calibration.CURRENT_ROTATION and calibration.cross_talk(calibrations)
-        if of_sensors and c.applied and (abs(c.value) > largest or crossed):
+        surely = abs(c.value) - _SURE * c.sigma > largest
+        if of_sensors and c.applied and (surely or crossed):
             yield Message(f"{c.message.code}.large", **c.message.values)
 
 

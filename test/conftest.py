@@ -184,8 +184,8 @@ def bag(simulation, tmp_path_factory):
 @pytest.fixture
 def coarse_plans(monkeypatch):
     """Predict experiments with fewer cells and windows, which is faster by far."""
-    monkeypatch.setattr(planner, "_FINE", (8, 2000))
-    monkeypatch.setattr(planner, "_MIDDLE", (6, 1000))
+    for name, size in (("_COARSE", (6, 1000)), ("_MIDDLE", (5, 600)), ("_FINE", (6, 1000))):
+        monkeypatch.setattr(planner, name, size)
 
 
 @pytest.fixture(scope="session")

@@ -240,6 +240,7 @@ def _errors(experiment: PlannedExperiment, seed: int) -> np.ndarray:
 @pytest.mark.usefixtures("coarse_plans")
 def test_the_duration_follows_from_the_accuracy_within_its_bounds(monkeypatch):
     scout, scouts = plan_module._Scout, {}  # what a figure tells does not depend on the accuracy
+    monkeypatch.setattr(plan_module, "_FINE", (8, 2000))
     monkeypatch.setattr(plan_module, "_Scout", lambda *args: scouts.setdefault(args[2], scout(*args)))
     known = replace(SETTINGS, current_noise=5e-3, speed_min=500.0, speed_max=500.0)
     easy = plan(replace(known, accuracy=1.0))

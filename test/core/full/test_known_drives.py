@@ -10,7 +10,8 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import identify
 
-FULL = FitSettings(method="full")
+FULL = FitSettings(method="full", harmonic_orders=())
+"""Without candidates of harmonics, which the recordings do not have; those of the residuals are looked for."""
 GRID = 200.0 * np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), indexing="ij"), axis=-1).reshape(
     -1, 2
 )

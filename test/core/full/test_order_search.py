@@ -69,13 +69,10 @@ def test_an_order_that_nobody_asked_for_is_found_and_fitted(simulation):
     settings = FitSettings("full", i_max=simulation.truth.i_max)
     found = identify([simulation.samples], settings)
     without = identify([simulation.samples], replace(settings, search_orders=False))
-    asked = identify([simulation.samples], replace(settings, harmonic_orders=(6, 30)))
     assert [harmonic.order for harmonic in found.flux_map.harmonics] == [6, 30]
     assert [harmonic.order for harmonic in without.flux_map.harmonics] == [6]
-    errors = {name: max(score(one, simulation.truth)) for name, one in
-              (("found", found), ("without", without), ("asked", asked))}  # fmt: skip
-    assert errors["found"] < min(1e-3, 0.9 * errors["without"])
-    np.testing.assert_allclose(found.flux_map.psi_q, asked.flux_map.psi_q, atol=1e-3 * np.abs(asked.flux_map.psi).max())
+    error, larger = (max(score(one, simulation.truth)) for one in (found, without))
+    assert error < min(1e-3, 0.9 * larger)
 
 
 def test_windows_serve_another_model(windows, simulation):

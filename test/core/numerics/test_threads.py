@@ -124,7 +124,8 @@ def test_a_fit_by_evidence_and_conclusion_has_one_thread(method, monkeypatch):
             return original(*arguments, **options)
 
         monkeypatch.setattr(f"numpy.{name}", watched)
-    evidence = Evidence.within(FitSettings(method, i_max=300.0), 300.0)
+    settings = FitSettings(method, i_max=300.0, maps="reciprocal", harmonic_orders=())
+    evidence = Evidence.within(settings, 300.0)
     evidence.add(record(reciprocal_flux, duration=2.0, noise=0.3))
     conclude(evidence, [])
     assert seen

@@ -57,6 +57,12 @@ def linear_machine():
     return MachineMap("linear", axis, axis, 0.06 + 1.5e-4 * i_d, 2.5e-4 * i_q, 1e-2, 4, 300.0, 400.0)
 
 
+def of_ipm():
+    """Return the truth of the ipm with noise after 5 s, what the default method finds, and its NRMSE in percent."""
+    simulation = run_experiment(IPM, NOISY, seconds=5.0)
+    return simulation.truth, *errors(simulation)
+
+
 def fit_of(name):
     """Return what the default method finds of a shipped machine, and its NRMSE in percent."""
     return errors(run_experiment(machine_map(name), replace(NOISY, current_noise=1e-3), seconds=3.0))
@@ -99,13 +105,12 @@ def test_errors_of_inductances_hold_after_one_second(name):
 
 
 def test_with_harmonics_and_an_inverter_full_is_twenty_times_better_than_joint():
-    simulation = run_experiment(IPM, NOISY, seconds=4.0)
-    joint, joint_errors = errors(simulation, JOINT)
-    full, full_errors = errors(simulation)
+    joint, joint_errors = errors(run_experiment(IPM, NOISY, seconds=5.0), JOINT)
+    truth, full, full_errors = stored(of_ipm)
     assert full_errors.max() < 0.1
     assert np.all(20 * full_errors < joint_errors)
-    assert full.resistance == pytest.approx(simulation.truth.resistance, rel=0.01)
-    true_drop = np.interp(full.inverter_current, simulation.truth.inverter_current, simulation.truth.inverter_voltage)
+    assert full.resistance == pytest.approx(truth.resistance, rel=0.01)
+    true_drop = np.interp(full.inverter_current, truth.inverter_current, truth.inverter_voltage)
     assert np.sqrt(np.mean((full.inverter_voltage - true_drop) ** 2)) < 0.02 * true_drop.max()
     assert 3 * full.report.mad_d < joint.report.mad_d
     assert 3 * full.report.mad_q < joint.report.mad_q
@@ -181,7 +186,7 @@ def test_never_worse_than_joint(machine, changes, trajectory):
 def test_what_a_compensating_drive_leaves_of_its_inverter_does_not_bend_the_map():
     found, full_errors = errors(run_experiment(IPM, replace(NOISY, inverter_compensation=True), seconds=5.0))
     assert any("compensates the inverter's drop" in sentence for sentence in found.statements)
-    plain, plain_errors = errors(run_experiment(IPM, NOISY, seconds=5.0))
+    _, plain, plain_errors = stored(of_ipm)
     assert not any("compensates the inverter's drop" in sentence for sentence in plain.statements)
     assert np.all(full_errors < 1.5 * plain_errors)
     away = np.abs(found.inverter_current) > 0.03 * IPM.i_max  # nearer to zero, noise makes the curve uncertain

@@ -14,7 +14,7 @@ from drive_id.core.full.fit import EarlierFit, fit_full
 from drive_id.core.full.lack_of_fit import missed_flux
 from drive_id.core.result.identify import gather, identify
 
-SETTINGS = FitSettings("full", i_max=300.0, maps="reciprocal", search_orders=False, harmonic_orders=(6,))
+SETTINGS = FitSettings("full", i_max=300.0, maps="reciprocal", search_orders=False, harmonic_orders=())
 
 
 def smooth_flux(i_dq):

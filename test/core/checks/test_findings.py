@@ -138,12 +138,13 @@ READINGS = {
 )
 def test_signals_of_another_meaning(drives, case, drive):
     change, code, said = READINGS[case]
-    changed = change(drives[drive])
-    first = found(changed)[0]
+    prescan = Prescan()
+    prescan.add(change(drives[drive]))
+    first = prescan.findings()[0]
     assert (first.code, first.kind) == (code, "error")
     assert said in first
     with pytest.raises(DataError) as error:
-        identify([changed], FitSettings("joint"))
+        prescan.check("joint")  # as each fit does
     assert str(error.value) == first
 
 

@@ -83,9 +83,9 @@ MAKE = {
     "population ARGS='--page docs/engineering/population.md --jobs 2'": "--help",
     "population ARGS='--against old.json'": "--help",
     "fuzz": "--count 1 --seed 0",  # all kinds
-    "fuzz ARGS='--seconds 300'": "--help",
-    "fuzz ARGS='--seconds 420 --seed 20000'": "--help",
-    "fuzz ARGS='--seconds 540 --seed 2253471605 --jobs 1'": "--help",
+    "fuzz ARGS='--seconds 300'": "--count 1 --kinds signals",
+    "fuzz ARGS='--seconds 420 --seed 20000'": "--count 1 --kinds signals",
+    "fuzz ARGS='--seconds 540 --seed 2253471605 --jobs 1'": "--count 1 --kinds signals",
     "endure": "--only interrupts --rounds 1",
     "endure ARGS='--only interrupts --rounds 300'": "--rounds 1",
     "endure ARGS='--only kills --rounds 30'": "--rounds 1",

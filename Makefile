@@ -83,7 +83,7 @@ safety: setup ## measure reaction times to trouble, ten times each: make safety 
 fuzz: setup ## try damaged and hostile inputs for a minute: make fuzz ARGS="--seconds 300"
 	@$(RUN) python benchmarks/fuzz.py $(ARGS)
 
-endure: setup ## try hours of live identification, many requests and kills: make endure ARGS="--only kills --rounds 30"
+endure: setup ## identify live for hours, with many requests and kills: make endure ARGS="--only kills --rounds 30"
 	@$(RUN) python benchmarks/endurance.py $(ARGS)
 
 lint: setup ## check style and types, also of the pages' Python

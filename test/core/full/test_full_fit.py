@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -442,6 +443,23 @@ def test_another_curve_of_the_drop_counts_beyond_the_errors_by_batches(samples, 
     batches[RESISTANCE] = fit.solution.resistance
     assert not full_fit._among_curves(solver, solution, batches, False).any()
     assert full_fit._among_curves(solver, solution, batches, True)[RESISTANCE] != 0  # the drop is no curve
+
+
+@pytest.mark.parametrize(("wide", "share"), [(0.05, 1 / 1.04), (0.25, 0.5), (1.0, 1 / 17)])
+def test_a_curve_counts_as_far_as_the_data_decide_on_it_and_not_what_is_known_of_inverters(wide, share):
+    """A share of the drop in the last shape, at 2.5 standard errors: 0.4 made R of a clean drive 5 % uncertain."""
+    columns, plain = np.arange(2, 32).reshape(-1, 3), np.zeros(32)
+    plain[RESISTANCE], plain[columns[0]] = 1.0, 2.0
+    bent = plain.copy()
+    bent[RESISTANCE], bent[columns[0]], bent[columns[-1]] = 1.04, 2.0 * (1 - wide), 2.0 * wide
+
+    def solve(spec):
+        estimate, variance = (bent, 1.0 + 0.016**2) if spec.wide == 2 else (plain, 1.0)
+        return SimpleNamespace(spec=spec, estimate=estimate, variance_of_resistance=variance)
+
+    solver = SimpleNamespace(model=SimpleNamespace(phase_columns=lambda: columns), solve=solve)
+    change = full_fit._among_curves(solver, solve(ModelSpec(True, ())), np.zeros((32, 1)), False)
+    assert change[RESISTANCE] == pytest.approx(0.04 * share)
 
 
 def test_each_phase_may_have_its_own_curve():

@@ -304,10 +304,14 @@ SAGS = {
 """Of drops of devices or of a dead time, and of commands that follow the link: what is logged, and what is found."""
 
 
-@pytest.mark.parametrize("kind", SAGS)
-def test_a_dc_link_that_falls_under_load_and_was_not_recorded_is_corrected(kind):
-    """By 3 % at the largest power; the maps were up to 0.6 % off, R 5 %, and free maps were blamed on the machine."""
-    simulation = run_experiment(machine_map("spm"), replace(GOOD, speeds=(500.0, -800.0)), seconds=SECONDS)
+@pytest.mark.parametrize(("kind", "machine"), [*((kind, "spm") for kind in SAGS), ("devices", "ipm")])
+def test_a_dc_link_that_falls_under_load_and_was_not_recorded_is_corrected(kind, machine):
+    """By 3 % at the largest power; the maps were up to 0.6 % off, R 5 %, and free maps were blamed on the machine.
+
+    At one speed, as the second machine's, the drop of the devices alone resembles the fall of the link.
+    """
+    speeds = (500.0, -800.0) if machine == "spm" else (500.0,)
+    simulation = run_experiment(machine_map(machine), replace(GOOD, speeds=speeds), seconds=SECONDS)
     samples, truth, (logged, expected) = simulation.samples, simulation.truth, SAGS[kind]
     drop = np.interp(samples.i_abc, truth.inverter_current, truth.inverter_voltage)
 

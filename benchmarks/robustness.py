@@ -86,9 +86,13 @@ def as_duty_cycles(samples: Samples, machine: MachineMap) -> Samples:
 
 
 def sagging(samples: Samples, _: MachineMap) -> Samples:
-    """Log the voltages as if the DC link did not fall by 2 % under the largest power."""
+    """Log the voltages as if the DC link did not fall by 2 % under the largest power.
+
+    By a resistance: it falls by s in proportion to its current, which is the power over 1 - s.
+    """
     power = np.sum(samples.u_abc * samples.i_abc, axis=1)
-    return replace(samples, u_abc=samples.u_abc / (1 - 0.02 * power / np.abs(power).max())[:, None])
+    left = 0.5 + np.sqrt(0.25 - 0.02 * power / np.abs(power).max())  # s (1 - s) is proportional to the power
+    return replace(samples, u_abc=samples.u_abc / left[:, None])
 
 
 def switching(dead_time: float, capacitance: float = 0.0) -> Callable[[MachineMap], Changes]:

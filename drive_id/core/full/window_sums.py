@@ -384,6 +384,8 @@ class WindowSums:
         windows = (Windows if kept else Terms).joined(parts) if parts else None
         if windows is None or windows.short.all():
             return
+        if isinstance(windows, Windows) and windows.acceleration is None:
+            windows = windows.accelerated()
         fold, whole = self._segment % FOLDS, windows.part(~windows.short) if windows.short.any() else windows
         if form:
             self._due.append((fold, whole))
@@ -392,8 +394,7 @@ class WindowSums:
         self.windows += len(whole)
         self._last = self._segment
         if isinstance(windows, Windows):
-            windows = windows if windows.acceleration is not None else windows.accelerated()
-            whole, short = windows.part(~windows.short), windows.part(windows.short)
+            short = windows.part(windows.short)
             for known, new in ((self._kept, whole), (self._short, short)):
                 known[self._segment] = Windows.joined([known[self._segment], new] if self._segment in known else [new])
             self._thin()

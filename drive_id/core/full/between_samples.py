@@ -209,12 +209,11 @@ def _follow(
     rotor: ComplexArray, straight: ComplexArray, bowed: ComplexArray, inverse: FloatArray, period: float,
     resistance: float, scale: float, first: float, step: float, drop: FloatArray, primitive: FloatArray,
     axes: ComplexArray, swing: ComplexArray, i: ComplexArray, summed: ComplexArray, before: FloatArray,
-) -> float:  # fmt: skip
+) -> None:  # fmt: skip
     """Evaluate the current ``i`` (K + 1,) over a sample for W = ``swing``, and the integral ``summed``.
 
     ``rotor`` (K + 1,) turns to the stator frame; in the rotor frame, ``straight`` is the current without a bow, and
-    ``bowed`` the flux without W minus that without a bow. ``before`` (3, 2) is overwritten. Returns by how much W is
-    off at most, V.
+    ``bowed`` the flux without W minus that without a bow. ``before`` (3, 2) is overwritten.
     """
     for j in range(_PARTS + 1):
         off = bowed[j] - rotor[j].conjugate() * period * swing[j]
@@ -231,11 +230,6 @@ def _follow(
             before[phase, 0], before[phase, 1] = current, so_far
         if j > 0:
             summed[j] = summed[j - 1] + (mean + 0.5 * resistance * (i[j - 1] + i[j])) / _PARTS
-    change = 0.0
-    for j in range(1, _PARTS):
-        more = summed[j] - j / _PARTS * summed[_PARTS] - swing[j]
-        change = max(change, abs(more.real), abs(more.imag))
-    return change
 
 
 @compiled(
@@ -252,7 +246,7 @@ def _integrate(
     The iterations end where W changes by less than ``settled``, V.
     """
     parts, pair = np.zeros(_PARTS + 1, np.complex128), np.empty(2, np.complex128)
-    i, summed, swing, rotors, straight, bowed = [parts.copy() for _ in range(6)]
+    i, summed, swing, more, rotors, straight, bowed = [parts.copy() for _ in range(7)]
     ends, fluxes, chord, i_s = pair.copy(), pair.copy(), pair.copy(), pair.copy()
     before, phases = 0j, np.empty((3, 2))
     for n in range(len(angle)):
@@ -278,16 +272,19 @@ def _integrate(
             swing *= rotors[_PARTS] * rotors[0].conjugate()  # about that of the sample before
             last, made = math.inf, 1.0
             for _ in range(_ROUNDS):
-                change = _follow(
+                _follow(
                     rotors, straight, bowed, inverse[n], period[n], resistance, drop_scale[n],
                     first, step, drop, primitive, axes, swing, i, summed, phases,
                 )  # fmt: skip
+                change = 0.0
+                for j in range(1, _PARTS):
+                    more[j] = summed[j] - j / _PARTS * summed[_PARTS] - swing[j]
+                    change = max(change, abs(more[j].real), abs(more[j].imag))
                 if change < settled:
                     break
                 made = _DAMPING if change > _OVERSHOOTS * last else made
                 last = change
-                for j in range(1, _PARTS):
-                    swing[j] += made * (summed[j] - j / _PARTS * summed[_PARTS] - swing[j])
+                swing += made * more
             mean = _drop_between(drop, primitive, first, step, axes, i_s[0], i_s[1], drop_scale[n])
             bowed_more = summed[_PARTS] - 0.5 * resistance * (i_s[0] + i_s[1]) - mean
             out[n] += period[n] * bowed_more * _PARTS**2 / (_PARTS**2 - 1.0)

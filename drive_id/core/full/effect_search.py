@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from drive_id.core.full.delay import Delay, estimate_delay
-from drive_id.core.full.effects.catalogue import CATALOGUE
+from drive_id.core.full.effects.catalogue import CATALOGUE, without
 from drive_id.core.full.effects.effect import parts
 from drive_id.core.full.linearized import (
     DELAY,
@@ -203,7 +203,7 @@ class _Search:
         return all(self._explains_misfit(names, name, delay) for name in names if CATALOGUE[name].of_link)
 
     def _explains_misfit(self, names: frozenset[str], name: str, delay: float) -> bool:
-        before, after = (self.subset(each).squares(delay) for each in (_without(names, name), names))
+        before, after = (self.subset(each).squares(delay) for each in (frozenset(without(names, name)), names))
         return before - after > _OF_MISFIT * (before - self.explained)
 
     def run(self) -> _Set:
@@ -220,7 +220,7 @@ class _Search:
         """Return a set less one of its members, and what comes beside that only."""
         if member == DELAY:
             return self.of(found.names, self.usual)
-        return self.of(_without(found.names, member), found.delay)
+        return self.of(frozenset(without(found.names, member)), found.delay)
 
     def exchanged(self, found: _Set, member: str) -> Iterator[tuple[str, _Set, float]]:
         """Yield the possible sets with another effect instead of a member, its name, and its saving over the member's.
@@ -493,11 +493,6 @@ def held_out(
 
 
 @lru_cache(maxsize=1 << 14)
-def _without(names: frozenset[str], member: str) -> frozenset[str]:
-    """Return effects less one of them, and what comes beside that only."""
-    return names - {member, *(name for name, other in _BESIDE.items() if other == member)}
-
-
 def _prices(names: frozenset[str], divided: int) -> float:
     """Return the prices of effects, in so many parts of the data."""
     of_parts = max(divided - 2, 0) * sum(CATALOGUE[name].price_of_part for name in sorted(names))

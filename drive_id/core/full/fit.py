@@ -13,7 +13,7 @@ from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import HALF, Delay, DelayJump
-from drive_id.core.full.effects.catalogue import CATALOGUE
+from drive_id.core.full.effects.catalogue import CATALOGUE, without
 from drive_id.core.full.lack_of_fit import LackOfFit
 from drive_id.core.full.linearized import DELAY, EffectSearch, FoundEffects, with_columns
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
@@ -270,7 +270,7 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
         weak = _weakest(sums.model, solution, own)  # another model moves an effect: it does not show that there is none
         if weak is None:
             break
-        effects = tuple(name for name in solution.spec.effects if weak not in (name, CATALOGUE[name].beside))
+        effects = without(solution.spec.effects, weak)
         with_weak, uncorrected = uncorrected, solver.solve(replace(solution.spec, effects=effects))
         left_out[weak] = with_weak.estimate - uncorrected.estimate
     by_rivals = _with_rivals(solver, uncorrected, selection)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from drive_id.core.full.effects.effect import DriveEffect
 from drive_id.core.full.effects.heat import (
     CopperHeating,
@@ -62,9 +64,9 @@ CATALOGUE: dict[str, DriveEffect] = {
         DcLink("dc_link"),
         DropByLink("drop_by_link"),
         LinkRipple("link_ripple"),
-        LinkSag("link_sag"),
-        DeviceSag("device_sag"),
-        DropBySag("drop_by_sag"),
+        LinkSag("link_sag", "link_sag"),
+        DeviceSag("device_sag", "link_sag_of_devices"),
+        DropBySag("drop_by_sag", "inverter_drop_sag"),
         LinkRise("link_rise"),
         PhaseResistance("phase_resistance"),
         PhaseInductance("phase_inductance"),
@@ -79,3 +81,8 @@ CATALOGUE: dict[str, DriveEffect] = {
     )
 }
 """By name, in the order of their columns."""
+
+
+def without(names: Iterable[str], member: str) -> tuple[str, ...]:
+    """Return effects less one of them, and what comes beside that only."""
+    return tuple(name for name in names if member not in (name, CATALOGUE[name].beside))

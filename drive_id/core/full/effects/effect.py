@@ -14,7 +14,7 @@ from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.windows import Windows
-from drive_id.types import FloatArray, IntArray
+from drive_id.types import TINY, FloatArray, IntArray
 
 MOST_RUNS, MOST_PARTS = 4, 8
 """Most runs with separate mechanical angles, and most parts of the data with separate temperatures."""
@@ -107,6 +107,17 @@ class Linearized(Ends):
     def drop(self) -> ComplexArray:
         """Integral (N,) of the drop, Vs."""
         return frames.space_vector(self.drops)
+
+    @cached_property
+    def power(self) -> FloatArray:
+        """Power (N,) that the machine takes, weighted by the voltage, W."""
+        voltage = self.windows.voltage
+        return np.asarray((self.windows.loaded * voltage.conj()).real / np.maximum(np.abs(voltage) ** 2, TINY))
+
+    @cached_property
+    def spared(self) -> FloatArray:
+        """Power (N,) of the drop, which that of a dead time does not take from the link, W."""
+        return np.asarray(np.sum(self.fallen * frames.phases(self.currents * self.turn), axis=2).mean(axis=1))
 
     @cached_property
     def leading(self) -> ComplexArray:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import (
     CERTAIN,
@@ -109,58 +108,53 @@ class LinkRipple(DriveEffect):
 
 
 @dataclass(frozen=True)
-class LinkSag(DriveEffect):
-    """Relative fall of the link per power p that is taken from it: ``int (u_s - drop) (p - p_drop)``.
+class FallPerPower(DriveEffect):
+    """A relative fall per power p that is taken from a link that was not recorded, told by the name of its entry."""
+
+    entry: str
+    at_rest, positive = True, True
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return not known.link
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield found.entry(self.entry, 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
+
+
+@dataclass(frozen=True)
+class LinkSag(FallPerPower):
+    """The link falls: ``int (u_s - drop) (p - p_drop)``.
 
     A dead time takes its drop from the link's voltage: the drop falls as well, and its power is not taken.
     """
 
-    of_link, at_rest, positive = True, True, True
-
-    def possible(self, known: Recorded) -> bool:  # noqa: D102
-        return not known.link
+    of_link = True
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return [at.windows.loaded - _of_drop(at)]
 
-    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield found.entry("link_sag", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
-
 
 @dataclass(frozen=True)
-class DeviceSag(DriveEffect):
+class DeviceSag(FallPerPower):
     """The share of the drop that is of the devices: it stays as it is, and its power is taken from the link."""
 
-    at_rest, positive, beside = True, True, "link_sag"
-
-    def possible(self, known: Recorded) -> bool:  # noqa: D102
-        return not known.link
+    beside = "link_sag"
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return [_of_drop(at)]
 
-    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield found.entry("link_sag_of_devices", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
-
 
 @dataclass(frozen=True)
-class DropBySag(DriveEffect):
-    """Relative fall of the drop, and of nothing else, per power that is taken: ``-int drop (p - p_drop)``.
+class DropBySag(FallPerPower):
+    """The drop falls, and nothing else: ``-int drop (p - p_drop)``.
 
     As under a link that falls where the drive corrects its voltages for that.
     """
 
-    at_rest, positive = True, True
     price = 0.03  # a map that is a little too stiff saves 1 to 2 %; a link that falls by 3 % saved 12 %
 
-    def possible(self, known: Recorded) -> bool:  # noqa: D102
-        return not known.link
-
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        return [-at.drop * _powers(at)[1]]
-
-    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield found.entry("inverter_drop_sag", 1e5 * found.value[0], 1e5 * found.sigma[0], "%/kW")
+        return [-at.drop * (at.power - at.spared)]
 
 
 @dataclass(frozen=True)
@@ -173,31 +167,18 @@ class LinkRise(DriveEffect):
         return not known.link
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        windows, voltage, mean = at.windows, at.windows.voltage, _mean_power(at.windows)
+        windows, voltage = at.windows, at.windows.voltage
         ends = 1.5 * (windows.held * (at.currents * at.turn).conj()).real
         half = np.maximum(0.5 * np.abs(ends[:, 1] - ends[:, 0]), TINY)
-        return [-voltage * np.clip(0.5 - 0.5 * mean / half, 0.0, 1.0)]  # the share of a line that is negative
+        return [-voltage * np.clip(0.5 - 0.5 * at.power / half, 0.0, 1.0)]  # the share of a line that is negative
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield found.entry("link_rise", found.value[0], found.sigma[0], "1")
 
 
-def _powers(at: Linearized) -> tuple[FloatArray, FloatArray]:
-    """Return the power (N,) of the drop, and that which a machine behind a dead time takes from the link, W."""
-    spared = np.sum(at.fallen * frames.phases(at.currents * at.turn), axis=2).mean(axis=1)
-    return spared, _mean_power(at.windows) - spared
-
-
 def _of_drop(at: Linearized) -> ComplexArray:
     """Return ``int (u_s p - (u_s - drop) (p - p_drop))`` (N,), V^2 A s."""
-    spared, taken = _powers(at)
-    return np.asarray(at.windows.voltage * spared + at.drop * taken)
-
-
-def _mean_power(windows: Windows) -> FloatArray:
-    """Return the power (N,) that the machine takes, weighted by the voltage, W."""
-    voltage = windows.voltage
-    return np.asarray((windows.loaded * voltage.conj()).real / np.maximum(np.abs(voltage) ** 2, TINY))
+    return np.asarray(at.windows.voltage * at.spared + at.drop * (at.power - at.spared))
 
 
 @dataclass(frozen=True, eq=False)

@@ -107,10 +107,13 @@ class _Rules:
     one_speed: bool
     parts: int  # of the data
     least: float  # squared residuals that matter to nobody, and what the current does between samples, (Vs)^2
+    # by variant and the estimate about which it was linearized first: a search with fewer effects begins alike
+    known: dict[tuple[ModelSpec, bytes], EffectSearch] = field(default_factory=dict)
 
     def among(self, sums: WindowSums) -> _Rules:
         """Return the rules of a search over some of the windows."""
-        return replace(self, sums=sums, least=self.least * sums.counts.sum() / max(self.sums.counts.sum(), 1.0))
+        least = self.least * sums.counts.sum() / max(self.sums.counts.sum(), 1.0)
+        return replace(self, sums=sums, least=least, known={})
 
     def without(self, name: str) -> _Rules:
         """Return the rules of a search without an effect, or a delay."""
@@ -126,6 +129,20 @@ class _Rules:
         """Return the fit with a set of effects."""
         return solver.solve(self.variant(found))
 
+    def linearized(self, state: EffectSearch, found: _Set) -> EffectSearch:
+        """Return a set, linearized about its fit in a state until it settles, with a ripple that this uncovers."""
+        about = self.solved(state.solver, found)
+        key = about.spec, about.estimate.tobytes()
+        known = self.known.pop(key, None)
+        if known is None:
+            columns = replace(state.found.columns, estimate=about.estimate)
+            known = settled(self.sums, about.spec, columns, about.residual_sigma)
+            known = with_hidden_ripple(self.sums, known, self.noise)
+        while len(self.known) >= _LINEARIZATIONS:  # they are large
+            del self.known[next(iter(self.known))]
+        self.known[key] = known
+        return replace(known, found=replace(known.found, delay=state.found.delay))
+
     def search_about(self, state: EffectSearch) -> _Search:
         """Return the sets about a linearization."""
         explained = max(state.solution.rows, 1.0) * self.noise.explained(state.solver.model, state.solution)
@@ -139,7 +156,6 @@ class _Search:
     rules: _Rules
     reduced: Reduced
     explained: float  # squared residuals that noise explains, (Vs)^2
-    known: dict[frozenset[str], Subset] = field(default_factory=dict)
 
     @property
     def usual(self) -> float:
@@ -148,9 +164,7 @@ class _Search:
 
     def subset(self, names: frozenset[str]) -> Subset:
         """Return a solved set."""
-        if names not in self.known:
-            self.known[names] = self.reduced.subset(names)
-        return self.known[names]
+        return self.reduced.subset(names)
 
     def of(self, names: frozenset[str], delay: float) -> _Set:
         """Return a set with its score."""
@@ -267,17 +281,18 @@ def search_effects(
     plain, model = solution.spec, sums.model
     few = sums.sampled(max(_FEW, _PER_COLUMN * model.summed.size))
     columns = first_columns(sums, solution, noise, pole_pairs)
-    plain_fit = settled(few, plain, columns)
+    plain_fit = settled(few, plain, columns, solution.residual_sigma)
     own, rows = model.effect("remainder").start, max(plain_fit.solution.rows, 1.0)
     solver, one_speed = plain_fit.solver, columns.steady is not None
     least = _LEAST_VOLTAGE**2 / _PRICE * rows * solver.total_voltage + float(solver.total[own, own])
     rules = _Rules(few, plain, noise, tuple(allowed), turn, one_speed, parts(sums.kept()), least)
     start, every = _about_lateness(_about_decimation(plain_fit, rules), rules), rules.among(sums)
-    whole_fit = cache(lambda: plain_fit if few is sums else settled(sums, plain, columns))
+    whole_fit = cache(lambda: plain_fit if few is sums else settled(sums, plain, columns, solution.residual_sigma))
     for number in count(1):
         state, chosen, search = _about_its_best(start, lambda: plain_fit, rules)
         if few is not sums:
-            state, chosen, search = _over_all(state, chosen, whole_fit, rules.among(sums))
+            of_all = replace(every, allowed=rules.allowed, turn=rules.turn)
+            state, chosen, search = _over_all(state, chosen, whole_fit, of_all)
         state, chosen = _among_rivals(state, search, chosen, rules)
         weak = _unconfirmed(state, search, chosen)
         if weak is None:
@@ -304,7 +319,9 @@ def _about_decimation(first: EffectSearch, rules: _Rules) -> EffectSearch:
     """
     if not (rules.turn and remains(first.solver) and misfits(first.solver.model, first.solution, rules.noise)):
         return first
-    other = settled(rules.sums, replace(rules.plain, delay=_EVERY_SECOND), first.found.columns)
+    about = first.solver.solve(replace(rules.plain, delay=_EVERY_SECOND))
+    columns = replace(first.found.columns, estimate=about.estimate)
+    other = settled(rules.sums, about.spec, columns, about.residual_sigma)
     left, by_other = (state.solver.delay(state.solver.solve(rules.plain))[2] for state in (first, other))
     return other if by_other < (1 - _CLOSE) * left else first
 
@@ -320,8 +337,9 @@ def _about_lateness(first: EffectSearch, rules: _Rules) -> EffectSearch:
     for name in sorted(_LATE.intersection(rules.allowed)):
         best = search.best(frozenset({name}))
         if best and abs(float(search.subset(best.names).value(name, best.delay)[0])) > least:
-            about = replace(first.found.columns, estimate=rules.solved(first.solver, best).estimate)
-            states.append(settled(rules.sums, rules.variant(best), about))
+            about = rules.solved(first.solver, best)
+            columns = replace(first.found.columns, estimate=about.estimate)
+            states.append(settled(rules.sums, about.spec, columns, about.residual_sigma))
     return min(states, key=lambda state: state.solution.residual_rms)
 
 
@@ -353,16 +371,13 @@ def _about_its_best(
                 best = best if physical else replace(best, delay=delay.value)
                 state = replace(state, found=replace(state.found, delay=delay))
         same = best.members == chosen.members and abs(best.delay - chosen.delay) < _SAME_DELAY
-        chosen, delay = best, state.found.delay
+        chosen = best
         if same:
             break
         if not best.members:
             state = first()
             continue
-        about = replace(state.found.columns, estimate=rules.solved(state.solver, best).estimate)
-        state = settled(rules.sums, rules.variant(best), about)
-        state = with_hidden_ripple(rules.sums, state, rules.noise)
-        state = replace(state, found=replace(state.found, delay=delay))
+        state = rules.linearized(state, best)
     if not chosen.members:
         state = first()
     return state, chosen, search
@@ -406,7 +421,7 @@ def _over_all(
     state: EffectSearch, chosen: _Set, first: Callable[[], EffectSearch], rules: _Rules
 ) -> tuple[EffectSearch, _Set, _Search]:
     """Repeat a search over few windows over those of the rules, from where it ended."""
-    state = settled_over(rules.sums, rules.variant(chosen), state) if chosen.members else first()
+    state = rules.linearized(state, chosen) if chosen.members else first()
     return _about_its_best(state, first, rules, chosen)
 
 
@@ -425,13 +440,14 @@ def _among_rivals(state: EffectSearch, search: _Search, chosen: _Set, of_few: _R
         if name in _TURNING and share > _RIVAL
     ]
     rules, kept = search.rules, search.rules.sums.kept()
-    about = {
-        each: replace(state.found.columns, estimate=rules.solved(state.solver, each).estimate)
-        for each in (*others, chosen)
-    }
+    fits = {each: rules.solved(state.solver, each) for each in (*others, chosen)}
+    about = {each: replace(state.found.columns, estimate=fit.estimate) for each, fit in fits.items()}
     if not any(about[each].bends(rules.variant(each), kept) for each in others):
         return state, chosen
-    states = {each: settled(of_few.sums, of_few.variant(each), columns) for each, columns in about.items()}
+    states = {
+        each: settled(of_few.sums, of_few.variant(each), columns, fits[each].residual_sigma)
+        for each, columns in about.items()
+    }
     errors = {each: one.solver.left_out(one.solution.spec)[:, 0] for each, one in states.items()}
     best = min(errors, key=lambda each: float(errors[each][predictable(errors[each])].mean()))
     return (state if best is chosen else settled_over(rules.sums, rules.variant(best), states[best])), best

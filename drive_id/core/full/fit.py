@@ -378,7 +378,7 @@ def _with_rivals(solver: Solver, solution: FullSolution, selection: Selection) -
     """
     model, spec, out = solver.model, solution.spec, {}
     for taken in selection.search.found.taken if spec.reciprocal else ():
-        others = tuple(name for name in spec.effects if name != taken.name)
+        others = without(spec.effects, taken.name)
         delay = 0.0 if taken.name == DELAY else spec.delay
         changes = []
         for rival in taken.rivals if taken.name in (*spec.effects, DELAY) else ():

@@ -26,6 +26,8 @@ _TRIED = 0.1
 stand for a part of it."""
 _GROWN = 1.03
 """Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
+_ATTUNED = {"link_ripple", "copper_heating"}
+"""Effects with a frequency or a time constant, which is found anew with each linearization."""
 _SETTLING, _SETTLED = 5, 0.01
 """Most linearizations, and the relative decrease of the residuals below which they end."""
 
@@ -79,41 +81,46 @@ def first_columns(
     return replace(columns, pole_pairs=columns.likely_pole_pairs(windows.thinned(SEARCHED)))
 
 
-def settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns) -> EffectSearch:
+def settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, left: float = np.inf) -> EffectSearch:
     """Solve about the measured currents or, where effects move them far, about those in the map.
 
-    The latter takes the kept windows only. If these are not all, it must fit clearly better.
+    The latter takes the kept windows only. If these are not all, it must fit clearly better. ``left``: the residuals'
+    sigma of the variant about another linearization, which gave the estimate of the columns.
     """
     move = columns.bends(spec, sums.kept())
     if move and not sums.thinned:
-        return _iterated(sums, spec, columns, move=True)
-    start = _iterated(sums, spec, columns)
+        return _iterated(sums, spec, columns, left, move=True)
+    start = _iterated(sums, spec, columns, left)
     moved = _iterated(sums, spec, start.found.columns, move=True) if move else start
     return moved if _GROWN * moved.solution.residual_rms < start.solution.residual_rms else start
 
 
 def settled_over(sums: WindowSums, spec: ModelSpec, state: EffectSearch) -> EffectSearch:
     """Solve with the columns that settled over other windows: about the solution itself, the residuals may grow."""
-    found = settled(sums, spec, state.found.columns)
+    found = settled(sums, spec, state.found.columns, state.solution.residual_sigma)
     return replace(found, found=replace(found.found, delay=state.found.delay))
 
 
-def _iterated(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, *, move: bool = False) -> EffectSearch:
+def _iterated(
+    sums: WindowSums, spec: ModelSpec, columns: EffectColumns, left: float = np.inf, *, move: bool = False
+) -> EffectSearch:
     """Solve, and linearize about the solution again, until the residuals settle or grow.
 
     They grow where an effect moves the current by so much that the linearization fails.
     """
     best: EffectSearch | None = None
     columns = replace(columns, delay=spec.delay)
+    if not _ATTUNED.isdisjoint(spec.effects):
+        left = np.inf  # their columns depend on more than the estimate
     for _ in range(_SETTLING):
         extended = with_columns(sums, columns, move=move)
         solver = Solver.over(extended)
         found = EffectSearch(extended, solver, solver.solve(spec), FoundEffects(columns))
-        change = -1.0 if best is None else found.solution.residual_rms / best.solution.residual_rms - 1.0
+        change, left = found.solution.residual_sigma / left - 1.0, found.solution.residual_sigma
         if best is not None and change > _GROWN - 1.0:
             return best
         best = found
-        if -change < _SETTLED or not (spec.effects or remains(solver)):
+        if -_SETTLED < change < _GROWN - 1.0 or not (spec.effects or remains(solver)):
             break
         columns = replace(columns, estimate=found.solution.estimate)
         columns = _attuned(columns, solver.model, spec, extended.kept())

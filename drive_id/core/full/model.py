@@ -284,19 +284,24 @@ class FullModel:
     def _beside_flux(self, windows: Terms) -> FloatArray:
         """Return the columns (N, 2, K) before those of the flux, or before the effects if the windows have none."""
         count, (a, b, c) = len(windows), np.moveaxis(windows.shape * windows.drop_scale[:, None, None], -1, 0)
-        columns = np.zeros((count, self.effects.start if windows.effects is None else self.map.start), np.complex128)
-        columns[:, VOLTAGE] = windows.voltage
-        columns[:, RESISTANCE] = windows.current * (1 + COPPER * windows.heating)
-        columns[:, CONSTANT] = windows.duration[:, None] * np.array([1, 1j])
-        columns[:, SHIFT] = np.append(windows.shifted, _turned_on(windows)[:, None], axis=1)
-        columns[:, MAGNET] = windows.magnet_heating * np.diff(np.exp(1j * windows.angle), axis=1)[:, 0]
-        columns.real[:, self.drops] = np.stack([2 * a, -b, -c], axis=-1).reshape(count, -1) / 3
-        columns.imag[:, self.drops] = np.stack([np.zeros_like(a), b, -c], axis=-1).reshape(count, -1) / np.sqrt(3)
-        columns[:, self.lags] = windows.lag * windows.drop_scale[:, None]
-        columns[:, self.crossing] = windows.crossing
-        if windows.effects is not None:
-            columns[:, self.effects] = windows.effects
-        return np.stack([columns.real, columns.imag], axis=1)
+        out = np.zeros((count, 2, self.effects.start if windows.effects is None else self.map.start))
+        magnet = windows.magnet_heating * np.diff(np.exp(1j * windows.angle), axis=1)[:, 0]
+        known: list[tuple[slice | int, ComplexArray]] = [
+            (VOLTAGE, windows.voltage),
+            (RESISTANCE, windows.current * (1 + COPPER * windows.heating)),
+            (CONSTANT, windows.duration[:, None] * np.array([1, 1j])),
+            (SHIFT, np.append(windows.shifted, _turned_on(windows)[:, None], axis=1)),
+            (MAGNET, magnet),
+            (self.lags, windows.lag * windows.drop_scale[:, None]),
+            (self.crossing, windows.crossing),
+            *([] if windows.effects is None else [(self.effects, windows.effects)]),
+        ]
+        for at, column in known:
+            out[:, 0, at], out[:, 1, at] = column.real, column.imag
+        by_phase = out[:, :, self.drops].reshape(count, 2, -1, 3)
+        by_phase[:, 0] = np.stack([2 * a, -b, -c], axis=-1) / 3
+        by_phase[:, 1, :, 1], by_phase[:, 1, :, 2] = b / np.sqrt(3), -c / np.sqrt(3)
+        return out
 
     def _ends(
         self, i_dq: FloatArray, angle: FloatArray, layout: Layout, orders: Sequence[int]

@@ -9,7 +9,7 @@ of effects E with the voltages v leaves the sum of squares ``v'(S_vv - S_vE S_EE
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
@@ -95,6 +95,7 @@ class Reduced:
     form: FloatArray
     half: FloatArray
     back: Callable[[FloatArray], FloatArray]
+    known: dict[frozenset[str], Subset] = field(default_factory=dict)  # solved sets
 
     @staticmethod
     def columns(model: FullModel) -> IntArray:
@@ -109,6 +110,11 @@ class Reduced:
 
     def subset(self, names: frozenset[str]) -> Subset:
         """Return a set of effects by their names in ``EFFECTS``, solved."""
+        if names not in self.known:
+            self.known[names] = self._solved(names)
+        return self.known[names]
+
+    def _solved(self, names: frozenset[str]) -> Subset:
         own = self._own(sorted(names))
         if not own:
             return Subset(names, self.form[:_BASE, :_BASE], {})

@@ -125,6 +125,11 @@ class FullSolution:
         return float(np.sqrt(max(self.sum_of_squares, 0.0) / max(self.rows, 1.0)))
 
     @property
+    def residual_sigma(self) -> float:
+        """Vs, of the residuals of other windows as well: with what the unknowns take from these."""
+        return self.residual_rms * float(np.sqrt(self.rows / max(self.rows - self.unknowns, 1.0)))
+
+    @property
     def resistance(self) -> float:
         """Ohm."""
         return float(self.estimate[RESISTANCE])
@@ -192,6 +197,7 @@ class Solver:
         every = None if effects is None else effects.sum(axis=0)
         self.total = with_products(unpacked(total, model.summed.size), every, model)
         self._known: dict[ModelSpec, _Maps] = {} if known is None else known
+        self._reduced: dict[ModelSpec, Reduced] = {}
 
     @classmethod
     def over(cls, sums: WindowSums) -> Solver:
@@ -334,10 +340,16 @@ class Solver:
 
     def reduced(self, spec: ModelSpec, without: int | None = None) -> Reduced:
         """Eliminate the unknowns of a variant, but for its effects and its delay, over all folds or without one."""
+        if without is None and spec in self._reduced:
+            return self._reduced[spec]
         known = self._variant(replace(spec, effects=()), without=without)
         columns = Reduced.columns(self.model)
         half = known.half(np.eye(self._others)[:, columns])
-        return Reduced(self.model, known.maps.beside[np.ix_(columns, columns)] - half.T @ half, half, known.back)
+        form = known.maps.beside[np.ix_(columns, columns)] - half.T @ half
+        reduced = Reduced(self.model, form, half, known.back)
+        if without is None:
+            self._reduced[spec] = reduced
+        return reduced
 
     def _products(self, t: sparse.csr_array, without: int | None, room: int = 0) -> tuple[FloatArray, FloatArray]:
         """Return T'AT (M, M), and A (summed.size, C) over the columns that are not of the maps.

@@ -8,11 +8,9 @@ import subprocess
 import sys
 from dataclasses import replace
 
-import matplotlib.figure
 import numpy as np
 import pytest
 from drive_bags import TRAJECTORY
-from machine_kinds import inductances
 
 import drive_id
 from drive_id.core.validation.metrics import nrmse
@@ -231,15 +229,6 @@ def test_short_words_for_a_result(result, saved):
     assert repr(drive_id.simulate("spm", 0.1)) == "<Samples: 1000 at 10 kHz, 0.1 s, with references, truth of spm>"
 
 
-@pytest.mark.slow  # pictures are drawn
-def test_a_result_is_drawn(result, saved):
-    for found in (result, drive_id.load(saved)):
-        assert isinstance(found.plot(), matplotlib.figure.Figure)
-    assert not (saved / "flux_map.png").exists()  # nobody waits for pictures
-    result.save(saved, draw=True)
-    assert (saved / "flux_map.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_a_result_can_be_pickled(result):
     assert pickle.loads(pickle.dumps(result)).flux_map.psi_dq(10, 20) == result.flux_map.psi_dq(10, 20)
 
@@ -300,14 +289,6 @@ def test_inductances_are_the_slopes_of_the_fluxes(result):
     right, left = (found.psi_dq(i_d, i_q + sign * step) for sign in (1, -1))
     expected = np.array([[up[k] - down[k], right[k] - left[k]] for k in range(2)]) / (2 * step)
     np.testing.assert_allclose(found.inductances(i_d, i_q), np.moveaxis(expected, -1, 0), rtol=1e-6, atol=1e-11)
-
-
-def test_inductances_are_those_of_the_machine(result, simulation):
-    i_d, i_q = -60.0, 80.0
-    true = np.mean(
-        [inductances(simulation.machine, i_d, i_q, theta) for theta in np.linspace(0, np.pi / 3, 24, False)], axis=0
-    )
-    np.testing.assert_allclose(result.flux_map.inductances(i_d, i_q), true, atol=0.05 * true.max())
 
 
 def test_outside_of_the_data_there_is_nan_or_an_error(result):
@@ -403,9 +384,3 @@ def test_a_map_is_continued_sanely_where_half_of_the_disc_has_no_data(result):
     np.testing.assert_array_equal(same[half.inside], found.psi_d[half.inside])
     jump = np.abs(np.diff(machine.psi_d, n=2, axis=0)).max() / np.abs(np.diff(machine.psi_d, axis=0)).max()
     assert jump < 0.5  # no kink
-
-
-def test_progress_is_told(bag):
-    told = []
-    drive_id.fit(bag, method="joint", tell=lambda what, share: told.append((what, share)))
-    assert [what for what, _ in told][-1] == "Solving"

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from bench_runs import IPM, PHASES, T, lissajous, run
+from bench_runs import IPM, PHASES, T, run
 
 from drive_id.bench.drive import Drive, Simulation, build_machine, simulate
 from drive_id.bench.machines import MACHINES, machine_map
@@ -30,19 +30,6 @@ def test_same_seed_same_bits_other_seed_other_noise():
     for name in ("stamp", "i_abc", "u_abc", "angle", "speed"):
         np.testing.assert_array_equal(getattr(first.samples, name), getattr(second.samples, name))
     assert np.abs(first.samples.i_abc - other.samples.i_abc).max() > 0.1
-
-
-def test_block_by_block_equals_the_whole_bit_for_bit():
-    settings = SimulationSettings(**NOISY, voltage_delay=-1.4, segment_durations=(0.1, 0.1))  # type: ignore[arg-type]
-    machine = build_machine(IPM, settings)
-    i_ref = lissajous(machine.i_max, 1500)
-    whole = Drive(machine, settings, i_dq_start=(0.0, 0.0)).step_block(i_ref)
-    drive = Drive(machine, settings, i_dq_start=(0.0, 0.0))
-    blocks = [drive.step_block(i_ref[a:b]) for a, b in ((0, 1), (1, 700), (700, 730), (730, 1500))]
-    for name in ("stamp", "i_abc", "u_abc", "angle", "speed"):
-        pieces = np.concatenate([getattr(block.samples, name) for block in blocks])
-        np.testing.assert_array_equal(pieces, getattr(whole.samples, name))
-    assert drive.time == pytest.approx(0.15)
 
 
 @pytest.mark.accuracy
@@ -176,11 +163,6 @@ def test_truth_travels_beside_the_samples():
     np.testing.assert_allclose(truth.inverter_voltage, 5.0 * np.tanh(truth.inverter_current), atol=1e-12)
     assert truth.details["inverter"] == "tanh"
     assert truth.details["seed"] == 0
-
-
-def test_stamps_are_whole_periods():
-    simulation = run(5)
-    np.testing.assert_array_equal(simulation.samples.stamp, np.arange(5) * 100_000)
 
 
 @pytest.mark.parametrize(

@@ -52,7 +52,8 @@ def test_an_effect_without_strength_leaves_the_plain_drive():
 def test_block_by_block_equals_the_whole_bit_for_bit():
     settings = SimulationSettings(
         speeds=(500.0, -300.0), segment_durations=(0.1, 0.1), iron_conductance=0.3, flux_lag=0.03, current_filter=3e3,
-        copper_heat_capacity=50.0, resolver_latency=3e-5, u_dc_drift=0.01, log_decimation=3, voltage_delay=-0.4,
+        copper_heat_capacity=50.0, resolver_latency=3e-5, u_dc_drift=0.01, log_decimation=3, voltage_delay=-1.4,
+        current_noise=1e-3, resolver_noise=1e-3, speed_noise=0.5,
     )  # fmt: skip
     machine = build_machine(IPM, settings)
     i_ref = lissajous(machine.i_max, 1500)

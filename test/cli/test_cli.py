@@ -17,14 +17,13 @@ import numpy as np
 import pytest
 import typer
 import yaml
-from drive_bags import blocks_of, changed, renamed, with_arrays, write_blocks
+from drive_bags import blocks_of, changed, with_arrays, write_blocks
 
 import drive_id
 from drive_id.cli import app as cli
 from drive_id.cli.options import merged_settings
 from drive_id.common.quantity import measured
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.frames import wrapped
 from drive_id.errors import OutputError
 from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES
 from drive_id.files.write.writer import write_recording
@@ -186,11 +185,6 @@ def test_an_error_as_json(run):
     assert json.loads(ran.out)["error"]["message"] in ran.err
 
 
-def test_one_good_and_one_bad_bag_leave_nothing(run, bag):
-    assert_one_sentence(run("fit", bag, "none", "--output", "results"), "There is no none here")
-    assert tree(Path()) == []
-
-
 def test_one_of_two_drives_can_be_chosen(run, bag, simulation, tmp_path):
     two_drives(tmp_path / "two", bag, simulation.samples)
     assert run("fit", tmp_path / "two", "--output", "results", "--namespace", "drive_2", "-q", *JOINT).code == 0
@@ -256,22 +250,6 @@ def test_access_denied(run, bag, monkeypatch):
     monkeypatch.setattr(os, "access", lambda _path, mode, **_options: not mode & os.W_OK)
     assert_one_sentence(run("fit", bag, "--output", "results"), "cannot be written because of .")
     assert_one_sentence(run("simulate", "--machine", "ipm", "--output", "new"), "cannot be written because of .")
-
-
-def test_a_full_disk(run, bag, monkeypatch, tmp_path):
-    def full(*_args):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("drive_id.files.results.folder.write_synced", full)
-    before = tree(tmp_path)
-    assert_one_sentence(run("fit", bag, "--output", "results", *JOINT), "No space left on device")
-    assert tree(tmp_path) == before
-
-
-def test_a_bag_is_not_overwritten(run, bag):
-    ran = run("simulate", "--machine", "ipm", "--output", bag, "--seconds", "0.01")
-    assert_one_sentence(ran, "exists already")
-    assert_one_sentence(run("fit", bag, "--output", bag), "not results of drive_id")
 
 
 # -- bad settings ----------------------------------------------------------------------------------------------------
@@ -438,36 +416,6 @@ def test_a_seed_makes_the_same_recording_again(run):
     first, again, other = (Path(folder, "bag", "bag_0.mcap").read_bytes() for folder in "abc")
     assert first == again
     assert first != other
-
-
-def test_a_signals_file_maps_the_bag_of_a_stranger(run, bag, simulation, tmp_path):
-    """Currents in milliamperes and against their arrows, a mechanical angle, other names."""
-    samples = simulation.samples
-    foreign = with_arrays(
-        samples,
-        i_abc=-1e3 * samples.i_abc,
-        angle=wrapped((np.unwrap(samples.angle) - 0.4) / 4),
-        speed=samples.speed / 4 * 60 / (2 * np.pi),
-    )
-    write_recording(tmp_path / "ours_alone", foreign)
-    names = {"phase_currents": "amps", "phase_voltages": "volts", "resolver": "encoder"}
-    renamed(tmp_path / "ours_alone", tmp_path / "foreign", "plant", **names)
-    assert_one_sentence(run("fit", tmp_path / "foreign", "--output", "results"), "no topic")
-    signals = {
-        "currents": {"topic": "/plant/amps", "fields": ["a", "b", "c"], "scale": -1e-3, "sample_period": 1e-4},
-        "voltages": {"topic": "/plant/volts", "fields": ["a", "b", "c"], "sample_period": 1e-4},
-        "resolver": {
-            "topic": "/plant/encoder", "angle": "angle", "speed": "speed", "speed_unit": "rpm", "mechanical": True,
-            "pole_pairs": 4, "angle_offset": 0.4, "sample_period": 1e-4,
-        },
-    }  # fmt: skip
-    Path("signals.yaml").write_text(yaml.safe_dump(signals))
-    ran = run("fit", tmp_path / "foreign", "--output", "results", "--signals", "signals.yaml", "--json", *JOINT)
-    assert ran.code == 0, ran.err
-    ours = json.loads(run("fit", bag, "--output", "ours", "--json", *JOINT).out)
-    theirs = json.loads(ran.out)
-    assert theirs["resistance"] == pytest.approx(ours["resistance"], rel=0.02)
-    assert theirs["voltage_error"] == pytest.approx(ours["voltage_error"], rel=0.02)
 
 
 def test_info(run, bag):

@@ -15,9 +15,8 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.result.identify import identify, score
+from drive_id.core.result.identify import score
 from drive_id.errors import ConfigurationError, DataError, OutputError, ResultError
-from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting import streaming
 from drive_id.fitting.fit import accumulate_bags, fit, fit_bags
@@ -79,16 +78,6 @@ def test_a_recorded_torque_is_compared_on_every_way_from_bags_to_a_result(tmp_pa
     assert all(piece.winding_temperature is not None for piece in found.excerpts)
 
 
-def test_a_bag_gives_what_the_samples_in_memory_give(simulation, fitted):
-    """But for the rounding to float32."""
-    direct = identify([simulation.samples], FitSettings("joint"))
-    inside = direct.flux_map.inside & fitted.drive.flux_map.inside
-    assert fitted.resistance == pytest.approx(direct.resistance, rel=1e-3)
-    np.testing.assert_allclose(
-        fitted.drive.flux_map.psi_q[inside], direct.flux_map.psi_q[inside], atol=1e-5
-    )  # fmt: skip
-
-
 def test_the_truth_of_a_simulation_is_never_used_by_the_fit(simulation, fitted, tmp_path):
     write_recording(tmp_path / "bag", simulation.samples)
     blind = fit_bags(Sources([tmp_path / "bag"]), None, FitSettings(method="joint"))
@@ -96,21 +85,6 @@ def test_the_truth_of_a_simulation_is_never_used_by_the_fit(simulation, fitted, 
     assert blind.provenance.machine == ""
     assert blind.resistance == fitted.resistance
     assert "Truth" not in [column.header for column in fit_table(blind).columns]
-
-
-def test_two_halves_are_fitted_like_the_whole(simulation, fitted, tmp_path):
-    half = len(simulation.samples) // 2
-    names = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
-    bags = []
-    for k, part in enumerate((slice(0, half), slice(half, None))):
-        samples = replace(simulation.samples, **{name: getattr(simulation.samples, name)[part] for name in names})
-        bags.append(tmp_path / f"part_{k}")
-        write_recording(bags[-1], samples, simulation.truth)
-    fit = fit_bags(Sources(bags), None, FitSettings(method="joint"))
-    assert fit.drive.report.samples_used == fitted.drive.report.samples_used - 1
-    assert fit.resistance == pytest.approx(fitted.resistance, rel=0.01)
-    assert fit.provenance.nrmse == pytest.approx(fitted.provenance.nrmse, rel=0.05)
-    assert list(fit.provenance.inputs) == [str(bag / f"{bag.name}_0.mcap") for bag in bags]
 
 
 def test_a_map_beyond_thin_data_stays_within_reason():
@@ -257,13 +231,6 @@ def test_only_the_map_with_data_is_scored(fitted):
     off = replace(truth, psi_d=truth.psi_d + (truth.i_d < 0)[:, None])
     assert max(score(right_half, off)) < 0.05
     assert score(identification, off)[0] > 0.2
-
-
-def test_the_recording_reads_back_as_simulated(bag, simulation):
-    recording = read_recording(bag)
-    np.testing.assert_array_equal(recording.samples.stamp, simulation.samples.stamp)
-    np.testing.assert_allclose(recording.samples.u_abc, simulation.samples.u_abc, rtol=1e-6, atol=1e-5)
-    assert recording.truth.details["seed"] == 0
 
 
 def test_joint_errors_add_up_to_those_of_the_map_and_reach_where_data_enclose_a_current():

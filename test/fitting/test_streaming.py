@@ -245,11 +245,6 @@ def test_bags_that_are_read_at_once(bag, tmp_path, monkeypatch):
 
 
 @pytest.mark.usefixtures("long")
-def test_the_radius_may_come_from_the_caller(bag):
-    assert accumulate([bag], replace(SETTINGS, i_max=320.0)).evidence.settings.i_max == 320.0
-
-
-@pytest.mark.usefixtures("long")
 def test_bad_recordings_are_refused_in_the_same_words(simulation, tmp_path):
     samples = simulation.samples
     jump = samples.angle.copy()

@@ -153,15 +153,6 @@ def test_one_goal_waits_and_more_are_busy(ros, client):
     assert (status, result.flux_map.method) == (SUCCEEDED, "psm")
 
 
-@pytest.mark.slow  # waits for two fits; the cancelled one below is quick
-def test_a_waiting_goal_can_be_cancelled(ros, client):
-    first, second = (Goal(ros, client, "bag", method=method) for method in ("full", "psm"))
-    second.handle.cancel_goal_async()
-    status, result = second.wait()
-    assert (status, result.code) == (CANCELED, "cancelled")
-    assert first.wait()[0] == SUCCEEDED
-
-
 def test_a_client_that_vanishes_leaves_nothing_behind(ros, node):
     """Neither a fit nor a folder; a second goal of it waits, and goes, too."""
     from rclpy.context import Context

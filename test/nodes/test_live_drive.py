@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import re
 import signal
-from pathlib import Path
 
 import numpy as np
 import pytest
-from live_drive import BENCH, PUBLISHER, SETTINGS, LiveDrive, assert_contiguous
+from live_drive import SETTINGS, LiveDrive, assert_contiguous
 from ros_bench import ros_bench
 from simulated_time import SimulatedTime
 
 from drive_id.bench.machines import machine_map
 from drive_id.errors import DriveIdError
 from drive_id.files.machines.ground_truth import decode_truth
-
-CONFIG = Path(__file__).parents[2] / "config"
 
 
 @pytest.fixture(scope="module")
@@ -74,16 +71,6 @@ def test_the_current_follows_the_references(drive):
         assert {len(getattr(message, field)) for message in drive.messages[name]} == {200}
         assert {message.header.frame_id for message in drive.messages[name]} == {"drive"}
     assert_contiguous(drive.messages["current_reference"], "d")
-
-
-def test_stop(drive):
-    drive.run_without_end()
-    assert "under way" in drive.trigger("start").message
-    assert drive.trigger("stop").success
-    _, wanted = drive.ended_at_zero()
-    assert_smooth(wanted)
-    drive.rest()
-    drive.wait_for_message("Stopped on request.")
 
 
 @pytest.mark.slow  # one of several hazards that end in the same way
@@ -217,70 +204,6 @@ def test_signals_end_the_publisher_with_zero_current():
         assert_smooth(wanted)  # ramped down, not cut off
         assert drive.bench.interrupt()[0] == 0
         assert "Traceback" not in ros.outputs()
-
-
-def test_set_points_beyond_the_limit_of_the_drive_are_ignored_not_scaled():
-    from drive_id_msgs.msg import CurrentReference, DriveStatus, PhaseCurrents
-
-    from drive_id.nodes.support.qos import STREAM
-
-    with ros_bench() as ros:
-        ros.host(BENCH, files=[CONFIG / "bench_simulator.yaml"])
-        faults, peaks = [], []
-        ros.node.create_subscription(DriveStatus, "/drive_status", lambda said: faults.append(said.fault), STREAM)
-        ros.node.create_subscription(
-            PhaseCurrents,
-            "/phase_currents",
-            lambda block: peaks.append(np.abs([block.a, block.b, block.c]).max()),
-            STREAM,
-        )
-        publisher = ros.node.create_publisher(CurrentReference, "/current_reference", STREAM)
-        ros.wait(lambda: publisher.get_subscription_count() and faults and peaks, "the drive")
-
-        def send(amplitude, session):
-            block = CurrentReference(d=[amplitude] * 20_000, q=[0.0] * 20_000, sample_period=1e-4, session=session)
-            block.header.stamp = ros.node.get_clock().now().to_msg()
-            publisher.publish(block)
-
-        send(400.0, 1 << 16)
-        ros.wait(lambda: "Set-points of 400 A exceed the limit of 300 A." in faults, "a fault")
-        ros.wait(lambda: not faults[-1], "a drive that has rested")
-        assert max(peaks) < 3.0
-        send(50.0, 2 << 16)
-        ros.wait(lambda: peaks[-1] > 40.0, "the current of set-points within the limit")
-
-
-@pytest.mark.slow  # two drives in real time
-def test_two_drives_on_one_graph_one_of_them_with_other_names():
-    with ros_bench() as ros:
-        clock = SimulatedTime(ros)
-        wide = {"follow_band": 200.0}  # A: on a busy machine, one drive lags while the clock waits for the other
-        left = LiveDrive(ros, "/left", bench={"machine": "spm"}, publisher={"i_max": 10.0} | wide, clock=clock)
-        names = {"current_reference": "wanted", "phase_currents": "sensors/currents"}
-        right = LiveDrive(ros, "/right", publisher=wide, clock=clock, **names)
-        left.run_without_end(5.0)
-        right.run_without_end()
-        assert np.hypot(*left.references()[1].T).max() <= 10.0
-        left.rest()
-        assert "under way (running)" in right.trigger("start").message
-        rival = ros.host(PUBLISHER, parameters=SETTINGS, namespace="/left")
-        left.refuses("Another node publishes current_reference")
-        rival.end()
-
-
-@pytest.mark.slow  # a drive at several speeds of time
-def test_simulated_time_passes_at_its_own_speed():
-    with ros_bench() as ros:
-        drive = LiveDrive(ros, bench={"time_scale": 0.5}, publisher={"lead_time": 4.0})
-        drive.run_without_end()
-        before = len(drive.messages["resolver"])
-        ros.wait(lambda: len(drive.messages["resolver"]) > before + 120, "more than a second of samples")
-        stamps, wanted = drive.references()
-        times, i_dq = drive.current()
-        inside = (times >= stamps[0]) & (times <= stamps[-1])
-        held = wanted[np.searchsorted(stamps, times[inside], side="right") - 1]
-        assert inside.sum() > 3000
-        assert np.sqrt(np.mean((i_dq[inside] - held) ** 2)) < 6.0
 
 
 def test_a_wrong_start_is_one_sentence():

@@ -31,29 +31,25 @@ class LiveDrive:
     Their time is simulated while the test waits, by the ``clock`` given, or by the bench itself without any.
     """
 
-    def __init__(
-        self, ros, namespace="", publisher=None, bench=None, *, clock=None, simulator=BENCH, process=False, **remaps
-    ):
+    def __init__(self, ros, namespace="", publisher=None, bench=None, *, clock=None, simulator=BENCH, process=False):
         from diagnostic_msgs.msg import DiagnosticArray
         from drive_id_msgs.msg import CurrentReference, PhaseCurrents, PhaseVoltages, PublisherState, Resolver
         from rclpy.qos import DurabilityPolicy, QoSProfile
 
         self.ros, self.clock = ros, clock
         self.namespace = namespace
-        arguments = [text for name, other in remaps.items() for text in ("-r", f"{name}:={other}")]
         bench = {"use_sim_time": clock is not None} | (bench or {})
         publisher = SETTINGS | {"use_sim_time": True} | (publisher or {})
         make = ros.start if process else ros.host
-        self.bench = make(simulator, parameters=bench, arguments=arguments, namespace=namespace)
-        self.publisher = make(PUBLISHER, parameters=publisher, arguments=arguments, namespace=namespace)
+        self.bench = make(simulator, parameters=bench, namespace=namespace)
+        self.publisher = make(PUBLISHER, parameters=publisher, namespace=namespace)
         self.messages, self._before = {}, {}
         for kind, name in (
             (PhaseCurrents, "phase_currents"), (PhaseVoltages, "phase_voltages"), (Resolver, "resolver"),
             (CurrentReference, "current_reference"),
         ):  # fmt: skip
             self.messages[name] = []
-            topic = f"{namespace}/{remaps.get(name, name)}"
-            ros.node.create_subscription(kind, topic, self.messages[name].append, 1000)
+            ros.node.create_subscription(kind, f"{namespace}/{name}", self.messages[name].append, 1000)
         if clock is not None:
             clock.follow(
                 partial(self.last, "resolver"), partial(self.last, "current_reference"),

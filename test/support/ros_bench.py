@@ -190,9 +190,9 @@ class RosBench:
         """Called again and again while the test waits."""
         self._clients = {}
 
-    def host(self, module, *, parameters=None, files=(), arguments=(), namespace=""):
+    def host(self, module, *, parameters=None, files=(), namespace=""):
         """Make the node of a module in this process, with parameters as in :meth:`start`, and run it while waiting."""
-        node = Hosted(self, module, _arguments(parameters, files, arguments, namespace))
+        node = Hosted(self, module, _arguments(parameters, files, namespace))
         self.hosted.append(node)
         return node
 
@@ -203,7 +203,7 @@ class RosBench:
         """
         log = self.folder / f"{module.rsplit('.', 1)[-1]}_{len(self.processes)}.log"
         environment = self.environment | ({"ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF"} if alone else {})
-        given = _arguments(parameters, files, arguments, namespace)
+        given = [*_arguments(parameters, files, namespace), *arguments]
         process = Process(module, ["--ros-args", *given], environment, log)
         self.processes.append(process)
         return process
@@ -353,12 +353,12 @@ def _as_if_alone(context, arguments):
         yield
 
 
-def _arguments(parameters, files, further, namespace):
+def _arguments(parameters, files, namespace):
     given = [part for file in files for part in ("--params-file", str(file))]
     for name, value in (parameters or {}).items():
         given += ["-p", f"{name}:={_yaml(value)}"]
     remaps = ["-r", f"__ns:={namespace}"] if namespace else []
-    return [*given, *remaps, *further]
+    return [*given, *remaps]
 
 
 def _yaml(value):

@@ -11,7 +11,6 @@ from synthetic import record
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
-from drive_id.core.result.conclusion import conclude
 from drive_id.errors import ConfigurationError
 from drive_id.types import Samples
 
@@ -50,34 +49,6 @@ def test_merged_is_added_one_after_the_other(recordings):
     one, two, three = (evidence(samples) for samples in recordings)
     assert_alike(one.merged(two).merged(three), evidence(*recordings))
     assert one.samples == len(recordings[0])  # as they were
-
-
-def test_the_order_of_merging_does_not_matter(recordings):
-    one, two, three = (evidence(samples) for samples in recordings)
-    forward, backward = one.merged(two).merged(three), three.merged(two.merged(one))
-    assert_alike(forward, backward)
-    results = [conclude(both, []) for both in (forward, backward)]
-    for name in ("resistance", "sigma_resistance", "voltage_error", "sigma_voltage_error"):
-        first, second = (getattr(result, name) for result in results)
-        assert first == pytest.approx(second, rel=1e-9), name
-    np.testing.assert_allclose(results[0].flux_map.sigma_d, results[1].flux_map.sigma_d, rtol=1e-6)
-
-
-def test_a_merged_recording_has_blocks_of_its_own(recordings):
-    parts = [evidence(samples) for samples in recordings]
-    counts = [len(part.information.blocks) for part in parts]
-    merged = parts[0].merged(parts[1]).merged(parts[2])
-    assert len(merged.information.blocks) == sum(counts)
-    np.testing.assert_array_equal(merged.information.blocks[: counts[0]], parts[0].information.blocks)
-
-
-def test_too_many_blocks_are_halved(recordings):
-    many = evidence(recordings[2])
-    for _ in range(12):
-        many = many.merged(evidence(recordings[2]))
-    assert many.information.max_blocks / 3 < len(many.information.blocks) <= many.information.max_blocks
-    assert many.information.block_duration == pytest.approx(0.2)
-    np.testing.assert_allclose(many.information.total, 13 * evidence(recordings[2]).information.total, rtol=1e-9)
 
 
 def test_samples_can_be_added_to_what_was_merged(recordings):

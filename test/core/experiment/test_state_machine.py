@@ -378,17 +378,6 @@ def test_the_clock_stands_still():
     assert run.experiment.state(run.now) is ExperimentState.RUNNING
 
 
-def test_the_end_of_a_process_publishes_everything_at_once():
-    run = Run()
-    run.start()
-    run.ticks(30)
-    run.drive.take(run.experiment.finish(run.now, "end"))
-    seen = run.drive.seen()
-    assert_smooth(seen, PLAIN)
-    ends_at_zero(seen, 100)
-    assert run.experiment.advance(run.now + MS) == []
-
-
 def test_coverage_grows_with_the_experiment():
     run = Run(dataclasses.replace(PLAIN, sample_period=1e-4, duration=3.0, frequency_d=7.3, frequency_q=2.3))
     run.start()

@@ -82,15 +82,3 @@ def test_a_publisher_that_does_not_count_is_told(identifier):
     told_of = [sentence for sentence in said if "is always 0" in sentence]
     assert len(told_of) == 1
     assert "first_sample of /phase_voltages is always 0, so that losses do not show" in told_of[0]
-
-
-def test_blocks_out_of_order_are_neither_lost_nor_cut(identifier):
-    rng = np.random.default_rng(1)
-    late = set(rng.choice(np.arange(1, 300), 20, replace=False).tolist())
-    order = sorted(range(300), key=lambda number: number + rng.uniform(1, 8) * (number in late))
-    for section, topic in enumerate(TOPICS[:3]):
-        for number in order if section == 0 else range(300):
-            identifier.receive(section, block(topic.type_name, number * 100))
-    health, said = told(identifier)
-    assert (health.level, said) == (Level.OK, ["Waiting. 30000 live samples."])
-    assert health.values["/phase_currents: samples lost"] == "0"

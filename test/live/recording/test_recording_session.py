@@ -138,25 +138,6 @@ def test_losses_are_counted_to_the_sample(tmp_path):
     assert custom["samples_received:/resolver"] == custom["samples_written:/resolver"] == "1700"
 
 
-def test_blocks_out_of_order_are_not_lost(tmp_path):
-    session = record(tmp_path / "bag")
-    for number in (*range(10), 13, 11, 10, 12, *range(14, 20), 21, 20, 23):  # 22 never comes
-        feed(session, 1, first=number)
-    session.stop()
-    report = session.report()
-    assert [(t.lost, t.losses, t.restarts) for t in report.topics] == [(100, 1, 0)] * 4
-    assert len(read_recording(tmp_path / "bag").samples) == 2300
-
-
-def test_a_publisher_that_begins_again_is_no_loss(tmp_path):
-    session = record(tmp_path / "bag")
-    feed(session, 5, first=100)
-    feed(session, 5)
-    session.stop()
-    report = session.report()
-    assert (report.dropped, report.topics[0].restarts, report.samples) == (0, 1, 1000)
-
-
 def test_a_queue_that_is_full_loses_and_counts(tmp_path):
     class SlowDisk(io.FileIO):
         def write(self, data):

@@ -7,10 +7,11 @@ is an :class:`OSError` whose ``strerror`` says what is wrong, so that each reade
 from __future__ import annotations
 
 import errno
+import json
 import os
 import stat
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 _KINDS = (
     (stat.S_ISFIFO, "it is a FIFO"),
@@ -58,6 +59,15 @@ def read_input(path: Path, most: int) -> bytes:
 def read_text_input(path: Path, most: int) -> str:
     """Return a text in UTF-8; ValueError when it is none, otherwise as :func:`read_input`."""
     return read_input(path, most).decode("utf-8")
+
+
+def read_json_input(path: Path, most: int) -> dict[str, Any]:
+    """Return the object in a JSON file of at most ``most`` bytes; empty where it holds none or cannot be read."""
+    try:
+        tree = json.loads(read_text_input(path, most))
+    except (OSError, ValueError, RecursionError):
+        return {}
+    return tree if isinstance(tree, dict) else {}
 
 
 def reason(error: OSError) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import json
 import os
 import shutil
 import tempfile
@@ -13,7 +12,7 @@ from pathlib import Path
 from drive_id.common.interrupts import held, note_complete
 from drive_id.common.quantity import counted
 from drive_id.errors import OutputError
-from drive_id.files.inputs.input_file import open_input, read_text_input
+from drive_id.files.inputs.input_file import open_input, read_json_input
 from drive_id.files.storage.durable import exchanged, make_folder, sync_folder, write_synced
 
 FORMAT = "drive_id/identification"
@@ -58,9 +57,9 @@ def check_recordings(directory: Path, inputs: Mapping[str, str], *, force: bool 
     Raises OutputError when it does and ``force`` is not given, with what differs.
     """
     try:
-        tree = json.loads(read_text_input(directory / MARKER, LARGEST_MARKER))
-        earlier = {str(entry["file"]): str(entry["sha256"]) for entry in tree["inputs"]}
-    except (OSError, ValueError, RecursionError, TypeError, KeyError):
+        inputs_before = read_json_input(directory / MARKER, LARGEST_MARKER)["inputs"]
+        earlier = {str(entry["file"]): str(entry["sha256"]) for entry in inputs_before}
+    except (TypeError, KeyError):
         return  # no result, or one that cannot be read
     if force or not earlier or set(earlier.values()) == set(inputs.values()):
         return
@@ -89,6 +88,20 @@ def check_absent(path: Path) -> None:
         _check_base(path, path.parent)
     except OSError as error:
         raise _refused(path, error) from error
+
+
+def check_own(path: Path, mark: str, within: int = -1) -> None:
+    """Check, before the work is done, that a path is free or holds a file of ours, by a mark in its first bytes.
+
+    Raises OutputError as :func:`check_absent` does.
+    """
+    try:
+        with open_input(path) as opened:
+            if mark.encode() in opened.read(within):
+                return
+    except (OSError, ValueError):
+        pass  # not ours
+    check_absent(path)
 
 
 def replace_folder(
@@ -239,8 +252,4 @@ def is_information(path: Path) -> bool:
 
 def is_ours(marker: Path, kind: str = FORMAT) -> bool:
     """Tell whether a JSON file names a format of ours."""
-    try:
-        tree = json.loads(read_text_input(marker, LARGEST_MARKER))
-    except (OSError, ValueError, RecursionError):
-        return False
-    return isinstance(tree, dict) and tree.get("format") == kind
+    return read_json_input(marker, LARGEST_MARKER).get("format") == kind

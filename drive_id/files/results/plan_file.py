@@ -12,8 +12,7 @@ import yaml
 from drive_id.common.quantity import plain
 from drive_id.core.planning.free_shaft import AMPLITUDE, FreeShaftPlan
 from drive_id.core.planning.planner import Plan, PlannedExperiment
-from drive_id.files.inputs.input_file import open_input
-from drive_id.files.results.folder import check_absent, replace_file
+from drive_id.files.results.folder import check_own, replace_file
 
 _HEADER = "# Planned by drive-id plan"
 _SLEW_RESERVE = 1.05
@@ -145,13 +144,7 @@ def check_plan_output(path: Path) -> None:
 
     Raises OutputError when there is something else than an earlier plan.
     """
-    try:
-        with open_input(path) as opened:
-            if opened.read(len(_HEADER)) == _HEADER.encode():
-                return
-    except (OSError, ValueError):
-        pass  # not ours
-    check_absent(path)
+    check_own(path, _HEADER, len(_HEADER))
 
 
 def write_plan(path: Path, text: str) -> None:

@@ -280,7 +280,7 @@ class Identifier:
         }
         findings = [*further, *self.folders.findings()]
         streams = (*self._streams, *self._scalar_streams.values())
-        findings += [uncounted(stream.topic) for stream in streams if stream.count.counts_nothing]
+        findings += [(Level.WARN, uncounted(each.topic)) for each in streams if each.count.counts_nothing]
         for track, kind, found in zip(self.live.join.tracks, TYPES, publishers, strict=True):
             values |= {f"{track.name}: samples": str(track.read), f"{track.name}: samples lost": str(track.lost)}
             if track.not_finite:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from drive_id.common.health import Level, Observation
 from drive_id.errors import ConfigurationError, DriveIdError, OutputError, ResultError
-from drive_id.files.inputs.input_file import read_text_input
+from drive_id.files.inputs.input_file import read_json_input
 from drive_id.files.results.folder import is_result, replace_file
 from drive_id.files.results.identification import Provenance, read_outline
 from drive_id.fitting.result import Identification, load
@@ -187,11 +187,8 @@ class _Note(NamedTuple):
 
 
 def _read_note(path: Path) -> _Note | None:
-    try:
-        tree = json.loads(read_text_input(path, _LONGEST_NOTE))
-    except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(tree, dict) or tree.get("format") != _FORMAT:
+    tree = read_json_input(path, _LONGEST_NOTE)
+    if tree.get("format") != _FORMAT:
         return None
     node, folder, stamp = (tree.get(name) for name in ("node", "folder", "stamp"))
     if not isinstance(node, str) or not isinstance(folder, str) or not isinstance(stamp, int):

@@ -80,32 +80,23 @@ def _recording_findings(report: RecordingReport, queue_size: float) -> list[Obse
 
 
 def _sample_findings(state: TopicState, report: TopicReport, longest_silence: float) -> list[Observation]:
-    findings = []
+    said = []
     if report.lost:
-        findings.append(
-            (
-                Level.WARN,
-                f"Lost {counted(report.lost, 'sample')} of {state.topic} in {counted(report.losses, 'place')}.",
-            )
-        )
+        said.append(f"Lost {counted(report.lost, 'sample')} of {state.topic} in {counted(report.losses, 'place')}.")
     if report.uncounted:
-        findings.append(uncounted(state.topic))
+        said.append(uncounted(state.topic))
     if report.unreadable:
-        findings.append(
-            (
-                Level.WARN,
-                f"Received {counted(report.unreadable, 'message')} on {state.topic} without a block of samples.",
-            )
-        )
+        messages = counted(report.unreadable, "message")
+        said.append(f"Received {messages} on {state.topic} without a block of samples.")
     if state.optional:
-        return findings
-    if not of_type(state.publishers, state.type_name):
-        findings.append((Level.WARN, f"Nobody publishes {state.topic}."))
+        pass  # it may be absent, slow or silent
+    elif not of_type(state.publishers, state.type_name):
+        said.append(f"Nobody publishes {state.topic}.")
     elif state.silent_for is None:
-        findings.append((Level.WARN, f"No message has come on {state.topic} yet."))
+        said.append(f"No message has come on {state.topic} yet.")
     elif 0 < longest_silence < state.silent_for:
-        findings.append((Level.WARN, f"No message has come on {state.topic} for {state.silent_for:.1f} s."))
-    return findings
+        said.append(f"No message has come on {state.topic} for {state.silent_for:.1f} s.")
+    return [(Level.WARN, sentence) for sentence in said]
 
 
 def _recording_values(report: RecordingReport) -> dict[str, str]:

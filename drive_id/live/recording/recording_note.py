@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from drive_id.errors import OutputError
-from drive_id.files.inputs.input_file import read_text_input
+from drive_id.files.inputs.input_file import read_json_input
 from drive_id.files.results.folder import replace_file
 
 _LONGEST = 10_000  # bytes
@@ -33,11 +33,7 @@ class RecordingNote:
             self._file.unlink(missing_ok=True)
 
     def _read(self) -> str:
-        try:
-            tree = json.loads(read_text_input(self._file, _LONGEST))
-        except (OSError, ValueError, RecursionError):
-            return ""
-        path = tree.get("recording") if isinstance(tree, dict) else None
+        path = read_json_input(self._file, _LONGEST).get("recording")
         if not isinstance(path, str) or not path.isprintable():
             return ""
         return (

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from drive_id.errors import ConfigurationError
-from drive_id.files.results.folder import check_absent, replace_file
+from drive_id.files.results.folder import check_own, replace_file
 from drive_id.reporting.page.charts import charts_of
 from drive_id.reporting.page.content import content_of
 from drive_id.reporting.page.html import GENERATOR, rendered_page
@@ -45,8 +45,7 @@ def check_report_output(path: Path, *, pdf: bool = False) -> None:
     if path.suffix not in {".html", ".htm", _PDF}:
         raise ConfigurationError(f"The report {path} is neither HTML nor PDF: let its name end with .html or .pdf.")
     for file in _paths(path, pdf=pdf):
-        if not _is_report(file):
-            check_absent(file)
+        check_own(file, GENERATOR, within=-1 if file.suffix == _PDF else _BEGINNING)
 
 
 def write_report(result: Result, path: Path, *, pdf: bool = False) -> tuple[Path, ...]:
@@ -63,13 +62,3 @@ def write_report(result: Result, path: Path, *, pdf: bool = False) -> tuple[Path
 
 def _paths(path: Path, *, pdf: bool) -> tuple[Path, ...]:
     return (path, path.with_suffix(_PDF)) if pdf and path.suffix != _PDF else (path,)
-
-
-def _is_report(path: Path) -> bool:
-    """Tell whether a file is an earlier report of ours."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return False
-    told = GENERATOR.encode()
-    return told in (content if content.startswith(b"%PDF") else content[:_BEGINNING])

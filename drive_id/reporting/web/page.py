@@ -9,7 +9,7 @@ from typing import Any
 import jinja2
 
 from drive_id.common.version import VERSION
-from drive_id.files.results.folder import check_absent, replace_file
+from drive_id.files.results.folder import check_own, replace_file
 from drive_id.reporting.web.archive import Entry, rows
 
 GENERATOR = "drive_id archive"
@@ -33,8 +33,7 @@ def rendered(template: str, **values: Any) -> str:
 
 def check_page_output(path: Path) -> None:
     """Check that a page may be written: only an earlier page of ours is replaced, else an OutputError is raised."""
-    if not path.is_file() or GENERATOR.encode() not in path.read_bytes()[:500]:
-        check_absent(path)
+    check_own(path, GENERATOR, within=500)
 
 
 def write_page(path: Path, page: str) -> None:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import struct
 import threading
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from bag_samples import assert_equal_samples, make_samples, make_truth
-from rosbags.highlevel import AnyReader
+from copied_bags import with_messages
 from test_bag_reader import SPEED, STRANGER, stranger
 
 from drive_id.core.signals.join import joined
@@ -24,7 +23,6 @@ from drive_id.files.read.extraction import DividedError, UnusualError
 from drive_id.files.read.reader import bag_pieces, prefetched
 from drive_id.files.read.several import read_recording
 from drive_id.files.storage.bag import open_bag
-from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
 
 
@@ -90,17 +88,6 @@ def test_scales_offsets_and_log_times(tmp_path):
     assert_same_as_whole(ours, parse_signals(logged, "test"))
 
 
-def copied(source, target, change):
-    """Copy the messages of a bag as (number, topic, data, time), changed, in the order of the changed list."""
-    with AnyReader([source]) as reader, Rosbag2McapWriter(target, chunk_size=1500) as writer:
-        for connection in reader.connections:
-            writer.add_topic(connection.topic, connection.msgtype)
-        messages = [(k, c.topic, bytes(raw), time) for k, (c, time, raw) in enumerate(reader.messages())]
-        for _, topic, data, time in change(messages):
-            writer.write(topic, data, time)
-    return target
-
-
 def found_in(path):
     """Return the samples, the sizes of the pieces and the warnings of a bag, or the error that refuses it."""
     try:
@@ -132,7 +119,7 @@ def test_messages_read_at_once_are_those_read_one_by_one(tmp_path, ours, monkeyp
         return [(k, t, CHANGES[change](data) if k in (33, 34, 35, 36) and t in topics else data, time)
                 for k, t, data, time in messages]  # fmt: skip
 
-    path = copied(ours, tmp_path / "changed", changed)
+    path = with_messages(ours, tmp_path / "changed", changed)
     at_once = found_in(path)
     monkeypatch.setattr(extraction.SignalStream, "_at_once", lambda *_: None)
     assert at_once == found_in(path)
@@ -144,7 +131,7 @@ def test_lost_and_repeated_blocks(tmp_path, ours):
         kept = [m for m in messages if m[0] not in (9, 14, 15, 23)]
         return [*kept[:30], kept[28], *kept[30:]] if kept[28][1] == kept[30][1] else kept
 
-    pieces = assert_same_as_whole(copied(ours, tmp_path / "lossy", change))
+    pieces = assert_same_as_whole(with_messages(ours, tmp_path / "lossy", change))
     assert sum(len(piece.samples.run_starts) - piece.continues for piece in pieces) == 3
 
 
@@ -156,7 +143,7 @@ def test_blocks_out_of_order_are_read_in_order(tmp_path, ours, seed):
         first, rest = messages[:4], [m for m in messages[4:] if m[1] != "/current_reference"]
         return [*first, *sorted(rest, key=lambda m: m[0] + 30 * rng.uniform() * (rng.uniform() < 0.2))]
 
-    path = copied(ours, tmp_path / "disordered", disordered)
+    path = with_messages(ours, tmp_path / "disordered", disordered)
     assert [m.log_time for m in _messages(path)] != sorted(m.log_time for m in _messages(path))
     pieces = assert_same_as_whole(path, least_pieces=1)
     expected = read_recording(ours)
@@ -180,13 +167,13 @@ def test_a_topic_that_lags_behind_or_ends_early(tmp_path, ours, topic):
     def ends(messages):
         return [m for m in messages if m[1] != topic or m[0] < 30]
 
-    assert_same_as_whole(copied(ours, tmp_path / "late", late))
-    assert_same_as_whole(copied(ours, tmp_path / "ends", ends), least_pieces=1)
+    assert_same_as_whole(with_messages(ours, tmp_path / "late", late))
+    assert_same_as_whole(with_messages(ours, tmp_path / "ends", ends), least_pieces=1)
 
 
 def test_topics_one_behind_the_other_are_read_at_once(tmp_path, ours, monkeypatch):
     monkeypatch.setattr(module, "CAPACITY", 300)
-    path = copied(ours, tmp_path / "sorted", lambda messages: sorted(messages, key=lambda m: (m[1], m[0])))
+    path = with_messages(ours, tmp_path / "sorted", lambda messages: sorted(messages, key=lambda m: (m[1], m[0])))
     with pytest.raises(UnusualError):
         read(path)
     assert_same_as_whole(path, whole=True, least_pieces=1)
@@ -194,27 +181,28 @@ def test_topics_one_behind_the_other_are_read_at_once(tmp_path, ours, monkeypatc
 
 def test_a_topic_that_is_missing_for_long_needs_no_memory(tmp_path, ours, monkeypatch):
     monkeypatch.setattr(module, "CAPACITY", 300)
-    path = copied(
+    path = with_messages(
         ours, tmp_path / "gone", lambda messages: [m for m in messages if m[1] != "/resolver" or not 8 < m[0] < 40]
     )
     assert_same_as_whole(path)
 
 
 def test_a_recording_split_into_files(tmp_path):
-    samples = make_samples(1500)
+    samples = make_samples(1500, gap_at=800)
     folder = tmp_path / "split"
     folder.mkdir()
-    for number, part in enumerate((slice(0, 800), slice(800, 1500))):
-        names = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
-        piece = replace(samples, **{name: getattr(samples, name)[part] for name in names})
-        write_recording(tmp_path / f"part{number}", piece, chunk_size=1500)
+    for number, part in enumerate(((0, 800), (800, 1500))):
+        write_recording(tmp_path / f"part{number}", samples.part(*part), chunk_size=1500)
         (tmp_path / f"part{number}" / f"part{number}_0.mcap").rename(folder / f"split_{number}.mcap")
     with pytest.raises(DividedError):  # the count begins anew: either part may be of another drive
         read(folder)
     parts = drive_parts(folder, SignalMap())
     pieces = [piece for part in parts for piece in read(folder, part=range(part.begin, part.end))[0]]
     assert len(parts) == 2
-    np.testing.assert_array_equal(joined(pieces).i_abc, read_recording(folder).samples.i_abc)
+    recording = read_recording(folder)
+    assert_equal_samples(recording.samples, samples)
+    assert len(recording.digests) == 2
+    np.testing.assert_array_equal(joined(pieces).i_abc, samples.i_abc)
 
 
 def test_errors_say_the_same(tmp_path):
@@ -223,13 +211,13 @@ def test_errors_say_the_same(tmp_path):
         return [(k, topic, data[:-8] + nan if k in (21, 37) else data, time) for k, topic, data, time in messages]
 
     write_recording(tmp_path / "good", make_samples(1500))
-    spoiled = copied(tmp_path / "good", tmp_path / "nan", spoil)
+    spoiled = with_messages(tmp_path / "good", tmp_path / "nan", spoil)
     with pytest.raises(NonFiniteError) as expected:
         read_recording(spoiled)
     with pytest.raises(NonFiniteError) as found:
         read(spoiled)
     assert str(found.value) == str(expected.value)
-    backward = copied(
+    backward = with_messages(
         tmp_path / "good", tmp_path / "backward", lambda messages: [*messages[:40], *messages[20:]]
     )  # fmt: skip
     with pytest.raises(StampOrderError):

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 import zstandard
 from bag_samples import PERIOD, START, STEP, assert_equal_samples, make_samples, make_truth, write_foreign
+from copied_bags import by_rosbags, with_messages
 from drive_bags import renamed
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drive_id.errors import ConfigurationError, MissingTopicError, SamplePeriodError
@@ -34,21 +35,6 @@ def ours(tmp_path):
     samples = make_samples(gap_at=250)
     write_recording(tmp_path / "bag", samples, make_truth(), chunk_size=3000)
     return tmp_path / "bag", samples
-
-
-def rewrite(source, target, storage=StoragePlugin.MCAP, mode=CompressionMode.NONE, version=9):
-    """Copy a bag with the writer of rosbags."""
-    store = message_typestore()
-    writer = Writer(target, version=version, storage_plugin=storage)
-    if mode is not CompressionMode.NONE:
-        writer.set_compression(mode, CompressionFormat.ZSTD)
-    with AnyReader([source]) as reader, writer:
-        keys = {
-            topic: writer.add_connection(topic, info.msgtype, typestore=store) for topic, info in reader.topics.items()
-        }
-        for connection, time, raw in reader.messages():
-            writer.write(keys[connection.topic], time, raw)
-    return target
 
 
 @pytest.mark.parametrize("compression", ["", "zstd", "lz4"])
@@ -71,7 +57,7 @@ KINDS.remove((StoragePlugin.SQLITE3, CompressionMode.STORAGE))
 @pytest.mark.parametrize("version", [8, 9])
 def test_bags_of_rosbags(tmp_path, ours, storage, mode, version):
     path, samples = ours
-    copy = rewrite(path, tmp_path / "copy", storage, mode, version)
+    copy = by_rosbags(path, tmp_path / "copy", storage, mode, version)
     assert_equal_samples(read_recording(copy).samples, samples)
     info = bag_info(copy)
     assert (info.storage, info.messages, info.complete) == (storage.name.lower(), 28, True)
@@ -116,28 +102,10 @@ def test_mcap_files_of_other_writers(tmp_path, ours, chunked, index, statistics)
     assert bag_info(target).messages == 28
 
 
-def test_a_recording_split_into_files(tmp_path, ours):
-    _, samples = ours
-    folder = tmp_path / "split"
-    folder.mkdir()
-    for number, part in enumerate((slice(0, 250), slice(250, 600))):
-        piece = replace(
-            samples,
-            **{name: getattr(samples, name)[part] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")},
-            run_starts=np.zeros(1, np.int64),
-            i_dq_reference=None,
-        )
-        write_recording(tmp_path / f"part{number}", piece)
-        shutil.move(tmp_path / f"part{number}" / f"part{number}_0.mcap", folder / f"split_{9 + number}.mcap")
-    recording = read_recording(folder)
-    assert_equal_samples(recording.samples, samples)
-    assert len(recording.digests) == 2
-
-
 def test_names_of_files_may_hold_anything(tmp_path, ours):
     path, samples = ours
     odd = tmp_path / "a b%20?#ü"
-    copy = rewrite(path, tmp_path / "copy", StoragePlugin.SQLITE3)
+    copy = by_rosbags(path, tmp_path / "copy", StoragePlugin.SQLITE3)
     odd.mkdir()
     shutil.move(copy / "copy.db3", odd / "100% ?#ü.db3")
     assert_equal_samples(read_recording(odd).samples, samples)
@@ -145,7 +113,7 @@ def test_names_of_files_may_hold_anything(tmp_path, ours):
 
 def test_old_sqlite_bags_without_definitions(tmp_path, ours):
     path, samples = ours
-    copy = rewrite(path, tmp_path / "copy", StoragePlugin.SQLITE3)
+    copy = by_rosbags(path, tmp_path / "copy", StoragePlugin.SQLITE3)
     database = sqlite3.connect(copy / "copy.db3")
     database.execute("DROP TABLE message_definitions")
     database.execute("DROP TABLE schema")
@@ -360,14 +328,7 @@ resolver: {topic: r, angle: angle, speed: speed, sample_period: sample_period, f
 def test_losses_are_told_by_the_counter(tmp_path):
     samples = make_samples(reference=False)
     write_recording(tmp_path / "whole", samples, block_size=50)
-    store = message_typestore()
-    with AnyReader([tmp_path / "whole"]) as reader:
-        kept = [(c, t, raw) for k, (c, t, raw) in enumerate(reader.messages()) if k != 4]
-    lossy = Writer(tmp_path / "lossy", version=9, storage_plugin=StoragePlugin.MCAP)
-    with lossy:
-        keys = {c.topic: lossy.add_connection(c.topic, c.msgtype, typestore=store) for c, _, _ in kept[:3]}
-        for connection, time, raw in kept:
-            lossy.write(keys[connection.topic], time, raw)
+    with_messages(tmp_path / "whole", tmp_path / "lossy", lambda messages: [m for m in messages if m[0] != 4])
     recording = read_recording(tmp_path / "lossy")
     assert len(recording.samples) == 550
     assert recording.samples.run_starts.tolist() == [0, 50]

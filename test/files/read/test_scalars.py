@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from bag_samples import START, STEP, assert_equal_samples, make_samples, write_foreign
+from copied_bags import by_rosbags
 from drive_bags import renamed
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
-from test_bag_reader import STRANGER, rewrite, stranger
+from test_bag_reader import STRANGER, stranger
 
 import drive_id
 from drive_id.core.signals.join import joined
@@ -40,7 +41,7 @@ def with_scalars(n=6000, **options):
 def test_what_is_written_comes_back(tmp_path, storage, namespace):
     samples = with_scalars()
     write_recording(tmp_path / "ours", samples, scalar_periods={"winding_temperature": 0.05})
-    path = rewrite(renamed(tmp_path / "ours", tmp_path / "bag", namespace), tmp_path / "copy", storage)
+    path = by_rosbags(renamed(tmp_path / "ours", tmp_path / "bag", namespace), tmp_path / "copy", storage)
     found = read_recording(path).samples
     assert_equal_samples(found, samples)
     np.testing.assert_array_equal(found.dc_link_voltage, samples.dc_link_voltage)
@@ -80,7 +81,7 @@ def test_pieces_are_the_whole(tmp_path, monkeypatch, storage):
     write_recording(
         tmp_path / "bag", with_scalars(gap_at=2500), chunk_size=1500, scalar_periods={"winding_temperature": 0.2}
     )
-    path = tmp_path / "bag" if storage is None else rewrite(tmp_path / "bag", tmp_path / "copy", storage)
+    path = tmp_path / "bag" if storage is None else by_rosbags(tmp_path / "bag", tmp_path / "copy", storage)
     monkeypatch.setattr("drive_id.files.read.reader._LOCKING_PAIRS", 100)
     pieces = list(bag_pieces(path, SignalMap()))
     assert len(pieces) > (storage is not StoragePlugin.MCAP)  # rosbags writes large chunks

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 import yaml
 from bag_samples import PERIOD, START, STEP, make_samples, make_truth, write_foreign
+from copied_bags import by_rosbags, with_messages
 from mcap.writer import Writer as McapWriter
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from drive_id.errors import (
@@ -31,7 +31,7 @@ from drive_id.errors import (
     TruncatedBagError,
 )
 from drive_id.files.messages.block_codec import encode_block
-from drive_id.files.messages.messages import BLOCK_FIELDS, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, message_typestore
+from drive_id.files.messages.messages import BLOCK_FIELDS, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.several import read_recording
@@ -71,15 +71,6 @@ def blocks(path: Path, change: Change | None = None, count: int = 10) -> Path:
 def bag(tmp_path):
     write_recording(tmp_path / "bag", make_samples(), make_truth(), chunk_size=3000)
     return tmp_path / "bag"
-
-
-def sqlite_copy(bag: Path, target: Path) -> Path:
-    store = message_typestore()
-    with AnyReader([bag]) as reader, Writer(target, version=9, storage_plugin=StoragePlugin.SQLITE3) as writer:
-        keys = {t: writer.add_connection(t, i.msgtype, typestore=store) for t, i in reader.topics.items()}
-        for connection, stamp, raw in reader.messages():
-            writer.write(keys[connection.topic], stamp, raw)
-    return target
 
 
 # -- not a bag -----------------------------------------------------------------------------------------------------
@@ -158,7 +149,7 @@ def test_type_names_of_old_metadata(bag):
     edit(bag, shorten)
     assert len(read_recording(bag).samples) == len(make_samples())
     write_recording(bag.parent / "other", make_samples())
-    target = sqlite_copy(bag.parent / "other", bag.parent / "sqlite")
+    target = by_rosbags(bag.parent / "other", bag.parent / "sqlite", StoragePlugin.SQLITE3)
     (file,) = target.glob("*.db3")
     with sqlite3.connect(file) as database:
         database.execute("UPDATE topics SET type = replace(type, '/msg/', '/')")
@@ -236,7 +227,7 @@ def test_a_disk_that_shows_endless_zeros_is_read_in_no_time(tmp_path):
 
 
 def test_truncated_sqlite(tmp_path, bag):
-    file = sqlite_copy(bag, tmp_path / "copy") / "copy.db3"
+    file = by_rosbags(bag, tmp_path / "copy", StoragePlugin.SQLITE3) / "copy.db3"
     data = file.read_bytes()
     for part in (0.02, 0.3, 0.7, 0.98):
         file.write_bytes(data[: int(len(data) * part)])
@@ -253,7 +244,7 @@ def test_damaged_compression(tmp_path):
 
 
 def test_messages_that_vanish_from_sqlite(tmp_path, bag):
-    folder = sqlite_copy(bag, tmp_path / "copy")
+    folder = by_rosbags(bag, tmp_path / "copy", StoragePlugin.SQLITE3)
     database = sqlite3.connect(folder / "copy.db3")
     database.execute("DELETE FROM messages WHERE id = 9")
     database.commit()
@@ -263,12 +254,7 @@ def test_messages_that_vanish_from_sqlite(tmp_path, bag):
 
 def test_damaged_truth(tmp_path):
     blocks(tmp_path / "good")
-    with AnyReader([tmp_path / "good"]) as reader, Rosbag2McapWriter(tmp_path / "bad") as writer:
-        for connection in reader.connections:
-            writer.add_topic(connection.topic, connection.msgtype)
-        for connection, stamp, raw in reader.messages():
-            writer.write(connection.topic, raw, stamp)
-        writer.attach("ground_truth.npz", b"PK no archive", "application/zip")
+    with_messages(tmp_path / "good", tmp_path / "bad", list, truth=b"PK no archive")
     refused(tmp_path / "bad", BagError, "ground truth attached to .* cannot be read")
 
 
@@ -362,11 +348,11 @@ def test_another_version_of_our_messages_is_read_by_its_names_or_refused(tmp_pat
 
 def test_garbage_in_a_message(tmp_path):
     blocks(tmp_path / "good")
-    with AnyReader([tmp_path / "good"]) as reader, Rosbag2McapWriter(tmp_path / "bad") as writer:
-        for connection in reader.connections:
-            writer.add_topic(connection.topic, connection.msgtype)
-        for k, (connection, stamp, raw) in enumerate(reader.messages()):
-            writer.write(connection.topic, raw if k != 10 else raw[:50], stamp)
+
+    def cut(messages):
+        return [(k, topic, data if k != 10 else data[:50], time) for k, topic, data, time in messages]
+
+    with_messages(tmp_path / "good", tmp_path / "bad", cut)
     refused(
         tmp_path / "bad",
         MessageTypeError,

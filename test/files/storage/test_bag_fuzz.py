@@ -10,11 +10,10 @@ from typing import Any
 
 import pytest
 from bag_samples import assert_equal_samples, make_samples, make_truth
-from rosbags.highlevel import AnyReader
-from rosbags.rosbag2 import StoragePlugin, Writer
+from copied_bags import by_rosbags
+from rosbags.rosbag2 import StoragePlugin
 
 from drive_id.errors import DriveIdError
-from drive_id.files.messages.messages import message_typestore
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.several import read_recording
 from drive_id.files.write.writer import write_recording
@@ -70,14 +69,7 @@ def test_damaged_mcap(tmp_path, compression):
 
 def copied(tmp_path: Path, storage: StoragePlugin) -> Path:
     write_recording(tmp_path / "bag", SAMPLES, block_size=20)
-    store = message_typestore()
-    with (
-        AnyReader([tmp_path / "bag"]) as reader,
-        Writer(tmp_path / "copy", version=9, storage_plugin=storage) as writer,
-    ):
-        keys = {t: writer.add_connection(t, i.msgtype, typestore=store) for t, i in reader.topics.items()}
-        for connection, time, raw in reader.messages():
-            writer.write(keys[connection.topic], time, raw)
+    by_rosbags(tmp_path / "bag", tmp_path / "copy", storage)
     return next(path for path in (tmp_path / "copy").iterdir() if path.suffix in (".mcap", ".db3"))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,15 +10,8 @@ from ros_bench import require_ros
 
 from drive_id.files.messages.block_codec import encode_block
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-
 if sys.platform != "linux":
     pytest.skip("the commands are measured by /proc", allow_module_level=True)
-
-
-@pytest.fixture(autouse=True)
-def _benchmarks(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
 
 
 @pytest.mark.process

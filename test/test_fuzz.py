@@ -4,23 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from pathlib import Path
 
+import fuzz
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-
 if sys.platform != "linux":
     pytest.skip("the fuzzer measures processes by /proc", allow_module_level=True)
-
-
-@pytest.fixture
-def fuzz(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    import fuzz
-
-    return fuzz
 
 
 @pytest.mark.parametrize(
@@ -39,7 +29,7 @@ def fuzz(monkeypatch):
         ({"memory": 5e8}, "over memory"),
     ],
 )
-def test_ends_are_judged(fuzz, tmp_path, ran, outcome):
+def test_ends_are_judged(tmp_path, ran, outcome):
     usual = {"code": 0, "out": "", "err": "", "processor": 1.0, "memory": 1e6}
     case = fuzz.Case("mcap", 1, "", ("fit", "x"))
     assert fuzz.judged(fuzz.Ran(**usual | ran), case, tmp_path, None)[0] == outcome
@@ -55,7 +45,7 @@ def test_ends_are_judged(fuzz, tmp_path, ran, outcome):
         ("out is complete", [], "left behind"),
     ],
 )
-def test_what_an_interrupt_leaves_is_held_against_what_is_said(fuzz, tmp_path, said, names, outcome):
+def test_what_an_interrupt_leaves_is_held_against_what_is_said(tmp_path, said, names, outcome):
     for name in (".out.txt", ".ready", "given.csv", *names):
         (tmp_path / name).touch()
     case = fuzz.Case("interrupt", 1, "", ("fit", "x"), "", fuzz.Limit("interrupt", 1.0))
@@ -67,7 +57,7 @@ def test_what_an_interrupt_leaves_is_held_against_what_is_said(fuzz, tmp_path, s
     ("factor", "warnings", "outcome"),
     [(1.0, [], ""), (1.005, [], ""), (1.03, [], "wrong map"), (1.03, ["It is damaged at 3.2 s."], "")],
 )
-def test_maps_are_compared(fuzz, tmp_path, factor, warnings, outcome):
+def test_maps_are_compared(tmp_path, factor, warnings, outcome):
     axis = np.linspace(-10.0, 10.0, 21)
     psi = np.repeat(axis[:, None], 21, axis=1) * 1e-3
     for name, scale, said in (("good", 1.0, ["Usual 1."]), ("out", factor, ["Usual 2.", *warnings])):
@@ -81,6 +71,6 @@ def test_maps_are_compared(fuzz, tmp_path, factor, warnings, outcome):
     assert fuzz.judged(fuzz.Ran(0, "", "", 1.0, 1e6), case, tmp_path, tmp_path / "good")[0] == outcome
 
 
-def test_a_finding_names_what_repeats_it(fuzz):
+def test_a_finding_names_what_repeats_it():
     finding = fuzz.Finding("crash", "mcap", 7, "cut", (), "", "python benchmarks/fuzz.py --replay mcap:7")
     assert finding.repeat.endswith(f"{finding.kind}:{finding.number}")

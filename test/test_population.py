@@ -8,34 +8,24 @@ import subprocess
 import sys
 from dataclasses import replace
 from importlib import resources
-from pathlib import Path
 
 import numpy as np
+import population
 import pytest
 import yaml
 
 from drive_id.bench.machine import Machine as SimulatedMachine
 from drive_id.errors import ConfigurationError
 
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
 SEED = 1
 BOUNDS = {2: 0.075, 4: 0.09, 6: 0.06, 9: 0.45, 11: 0.025, 13: 0.24, 16: 0.05, 26: 0.03}
 """Drives of seven families, two of them with an effect, and 1.6 times the flux error of 4 s of each when this was
 written, %."""
 
 
-@pytest.fixture(scope="module")
-def population():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        import population
-
-        yield population
-
-
 @pytest.mark.accuracy
 @pytest.mark.parametrize("number", BOUNDS)
-def test_a_part_of_the_population(population, number):
+def test_a_part_of_the_population(number):
     one = replace(population.drive(SEED, number), seconds=4.0)
     fit = population.fitted(one, population.recordings(one), "full")
     assert max(fit["psi_d"], fit["psi_q"]) < BOUNDS[number]
@@ -45,7 +35,7 @@ def test_a_part_of_the_population(population, number):
 
 
 @pytest.mark.accuracy
-def test_a_drive_of_the_population_on_a_free_shaft(population):
+def test_a_drive_of_the_population_on_a_free_shaft():
     one = replace(population.drive(SEED, 2), seconds=8.0)
     one = population.on_free_shaft(one)
     fit = population.fitted(one, population.recordings(one), "full")
@@ -66,7 +56,7 @@ def test_a_planned_swing_keeps_below_the_trips(number):
     assert found.reason == ""
 
 
-def test_drives_depend_on_seed_and_number_alone(population):
+def test_drives_depend_on_seed_and_number_alone():
     assert population.drive(3, 17) == population.drive(3, 17)
     assert population.drive(3, 17) != population.drive(4, 17)
     families = [population.drive(3, number).family for number in range(8)]
@@ -81,7 +71,7 @@ def slopes(flux, x, y, step=1e-5):
 
 
 @pytest.mark.parametrize("number", range(24))
-def test_machines_are_physical(population, number):
+def test_machines_are_physical(number):
     """Reciprocal at each rotor position but where labelled, with positive definite inductances, at most 1 per unit."""
     shape = population.drive(SEED, number).machine.shape
     rng = np.random.default_rng(number)
@@ -100,7 +90,7 @@ def shape_is_measured(shape):
 
 
 @pytest.mark.accuracy
-def test_measured_machines_are_reciprocal_as_labelled(population):
+def test_measured_machines_are_reciprocal_as_labelled():
     drives = [population.drive(SEED, number) for number in range(4, 100, 8)]
     rng = np.random.default_rng(0)
     x, y = rng.uniform(-0.7, 0.7, (2, 200))
@@ -111,7 +101,7 @@ def test_measured_machines_are_reciprocal_as_labelled(population):
 
 
 @pytest.mark.parametrize("number", [1, 4, 6])
-def test_the_simulated_machine_is_the_true_one(population, number):
+def test_the_simulated_machine_is_the_true_one(number):
     """The truth is the co-energy's; the simulation's own spline of it must not matter."""
     one = population.drive(SEED, number)
     i_dq = one.machine.i_max * np.random.default_rng(0).uniform(-0.7, 0.7, (300, 2))
@@ -119,7 +109,7 @@ def test_the_simulated_machine_is_the_true_one(population, number):
     assert np.abs(simulated - population.true_flux(one, i_dq)).max() < 1e-4 * one.machine.flux_unit
 
 
-def test_every_cause_in_a_warning_is_recognized(population):
+def test_every_cause_in_a_warning_is_recognized():
     for name in yaml.safe_load(resources.files("drive_id.common").joinpath("messages.yaml").read_text("utf-8"))["noun"]:
         assert population.blamed(MISFIT | {"values": {"causes": f"{name} 18"}}), name
     assert population.blamed(MISFIT) == {"dc"}
@@ -127,7 +117,7 @@ def test_every_cause_in_a_warning_is_recognized(population):
     assert population.blamed(MISFIT | {"values": {"time": 1.0}}) == {"timing"}
 
 
-def test_codes_of_causes_are_those_of_messages(population):
+def test_codes_of_causes_are_those_of_messages():
     """A renamed code would be taken for no cause."""
     catalogue = yaml.safe_load(resources.files("drive_id.common").joinpath("messages.yaml").read_text("utf-8"))
     nouns, _ = catalogue.pop("noun"), catalogue.pop("clause")
@@ -167,27 +157,27 @@ IRON = MISFIT | {"values": {"causes": "iron_loss"}}
         ({"corrected": {"iron_loss_conductance": [0.1, 0.01]}}, ["iron"], set()),
     ],
 )
-def test_verdicts(population, changes, effects, verdicts):
+def test_verdicts(changes, effects, verdicts):
     row = {"fits": {"full": GOOD | changes}, "effects": effects, "causes": effects, "expected": "identified"}
     assert population.judged(row, "full") == verdicts
 
 
-def test_refusals_and_crashes_are_told_apart(population):
+def test_refusals_and_crashes_are_told_apart():
     row = {"fits": {"full": {"refused": "There are no samples."}}, "effects": [], "causes": []}
     assert population.judged(row, "full") == {"refused"}
     assert population.judged(row | {"fits": {}, "lost": "it took too long"}, "full") == {"crashed"}
 
 
-def test_a_drive_that_takes_too_long_is_given_up(population):
+def test_a_drive_that_takes_too_long_is_given_up():
     (row,) = population.rows(SEED, [10], ["joint"], None, jobs=1, timeout=0.0)
     assert row["lost"] == "it took too long"
     assert row["number"] == 10
 
 
 @pytest.mark.process
-def test_the_command_goes_on_where_it_was(population, tmp_path):
+def test_the_command_goes_on_where_it_was(tmp_path):
     def run(*options):
-        command = [sys.executable, BENCHMARKS / "population.py", "--methods", "joint", "--seed", "1"]
+        command = [sys.executable, population.__file__, "--methods", "joint", "--seed", "1"]
         command += ["--samples-cache", tmp_path / "cache", "--output", tmp_path / "out.json", *options]
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=300).stdout
 
@@ -203,7 +193,7 @@ def test_the_command_goes_on_where_it_was(population, tmp_path):
     assert len(population.read(tmp_path / "out.json")) == 1
 
 
-def test_a_damaged_cache_is_simulated_again(population, tmp_path):
+def test_a_damaged_cache_is_simulated_again(tmp_path):
     one = replace(population.drive(SEED, 10), seconds=0.5)
     (samples,) = population.recordings(one, tmp_path)
     (file,) = tmp_path.iterdir()

@@ -4,29 +4,18 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-BENCHMARKS = Path(__file__).parents[1] / "benchmarks"
-
-
-@pytest.fixture(scope="module")
-def reproduction():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(BENCHMARKS))
-        import reproduction
-
-        yield reproduction
+import reproduction
 
 
 @pytest.fixture(scope="module")
-def results(reproduction):
+def results():
     return reproduction.reproduce(machines=("ipm",), seconds=5.0)
 
 
-def test_the_experiments_are_those_of_the_paper(reproduction):
+def test_the_experiments_are_those_of_the_paper():
     real, ideal, compensated = reproduction.SIMULATION, reproduction.IDEAL, reproduction.COMPENSATED
     for settings in (real, ideal, compensated):
         assert (settings.sample_period, settings.speeds) == (1e-4, (500.0,))
@@ -122,7 +111,7 @@ def test_what_diverged_is_said_and_is_null(results):
 
 
 @pytest.mark.accuracy
-def test_the_files(reproduction, results, tmp_path):
+def test_the_files(results, tmp_path):
     reproduction.write_reproduction(tmp_path / "out", results)
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["reproduction.json", "tables.txt"]
     assert json.loads((tmp_path / "out" / "reproduction.json").read_text()) == json.loads(json.dumps(results.tree()))

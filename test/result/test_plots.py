@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import importlib
 import shutil
 import struct
 import time
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
+import paper_figures
 import pytest
 from matplotlib.backends.backend_pgf import LatexManager
 from matplotlib.image import imread
@@ -28,15 +27,6 @@ from drive_id.result.pictures.picture import rendered
 from drive_id.result.pictures.plots import draw_flux_maps, result_pictures, trajectory
 
 NAMES = ["diagnostics.png", "flux_map.png"]
-BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
-
-
-@pytest.fixture(scope="module")
-def paper():
-    """The benchmark that draws the paper's figures."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(BENCHMARKS)
-        yield importlib.import_module("paper_figures")
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +50,8 @@ def diagnostics(drive, excerpts):
 
 
 @pytest.fixture(scope="module")
-def overview(paper, drive, excerpts, simulation):
-    return paper.draw_result(drive, excerpts, simulation.truth)
+def overview(drive, excerpts, simulation):
+    return paper_figures.draw_result(drive, excerpts, simulation.truth)
 
 
 def size(png: bytes) -> tuple[int, int]:
@@ -433,7 +423,7 @@ def test_the_result_in_one_figure(overview):
     assert "true" in texts(overview)
 
 
-def test_unused_memory_in_surfaces_is_no_reason_to_warn(paper, drive, simulation, monkeypatch):
+def test_unused_memory_in_surfaces_is_no_reason_to_warn(drive, simulation, monkeypatch):
     """Matplotlib pads faces of fewer corners with whatever the memory held before."""
     empty = np.empty
 
@@ -444,16 +434,16 @@ def test_unused_memory_in_surfaces_is_no_reason_to_warn(paper, drive, simulation
         return array
 
     monkeypatch.setattr(np, "empty", dirty)
-    figure = paper.draw_comparison(drive, drive, simulation.truth, "d")
+    figure = paper_figures.draw_comparison(drive, drive, simulation.truth, "d")
     assert size(rendered(figure, dpi=120)) == (1320, 1080)
 
 
 @pytest.mark.cases
 @pytest.mark.parametrize("component", ["d", "q"])
-def test_the_comparison(paper, drive, simulation, component):
+def test_the_comparison(drive, simulation, component):
     worse = replace(drive.flux_map, psi_d=1.1 * drive.flux_map.psi_d)
     psm = replace(drive, flux_map=worse)
-    figure = paper.draw_comparison(drive, psm, simulation.truth, component)
+    figure = paper_figures.draw_comparison(drive, psm, simulation.truth, component)
     assert size(rendered(figure, dpi=120)) == (1320, 1080)
     flat = [axes for axes in figure.axes if axes.child_axes]
     assert len(flat) == 2

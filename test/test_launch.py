@@ -173,9 +173,9 @@ def test_the_topics_are_those_that_the_nodes_use(monkeypatch):
 def test_two_benches_run_beside_each_other_each_by_its_own_clock(monkeypatch):
     """The nodes that the launch file describes: an experiment of one, while the other runs by another time."""
     require_ros()
+    from action_goal import experiment
     from diagnostic_msgs.msg import DiagnosticArray
     from drive_id_msgs.action import Experiment
-    from experiment_goal import Goal
     from rclpy.action import ActionClient
     from rosgraph_msgs.msg import Clock
 
@@ -209,7 +209,7 @@ def test_two_benches_run_beside_each_other_each_by_its_own_clock(monkeypatch):
             DiagnosticArray, "/diagnostics", lambda m: named.update(each.name for each in m.status), 100
         )
         client = ActionClient(ros.node, Experiment, "/drive_2/experiment/experiment")
-        _, result = Goal(ros, client).wait()
+        _, result = experiment(ros, client).wait()
         client.destroy()
         assert result.code == "ok", result.message
         assert "drive_2/recordings" in result.bags[0]

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from action_goal import SentGoal
 from test_identification_node import I_MAX
 
 from drive_id.files.write.writer import write_recording
@@ -45,30 +46,11 @@ def node(ros, parameters):
     return ros.host(MODULE, parameters=parameters)
 
 
-class Goal:
-    """A goal, its feedback and its result."""
+def sent(ros, client, *bags, method="full"):
+    """Send a goal."""
+    from drive_id_msgs.action import Identify
 
-    def __init__(self, ros, client, *bags, method="full"):
-        from drive_id_msgs.action import Identify
-
-        self.ros, self.feedback = ros, []
-        ros.wait(client.server_is_ready, "the action server")
-        sent = client.send_goal_async(
-            Identify.Goal(bags=list(bags), method=method),
-            feedback_callback=lambda message: self.feedback.append(message.feedback),
-        )
-        ros.wait(sent.done, "the acceptance of a goal")
-        self.handle = sent.result()
-        assert self.handle.accepted
-        self.future = self.handle.get_result_async()
-
-    def wait(self):
-        """Return status and result."""
-        self.ros.wait(self.future.done, "the result of a goal")
-        return self.future.result().status, self.future.result().result
-
-    def wait_for_stage(self, name):
-        self.ros.wait(lambda: any(entry.stage == name for entry in self.feedback), f"stage {name}")
+    return SentGoal(ros, client, Identify.Goal(bags=list(bags), method=method))
 
 
 @contextmanager
@@ -101,7 +83,7 @@ def folders(ros):
 
 
 def test_a_goal_gives_what_the_service_gives_and_tells_how_far_it_is(ros, client, fitted_in_full):
-    goal = Goal(ros, client, "bag")
+    goal = sent(ros, client, "bag")
     status, result = goal.wait()
     assert (status, result.success, result.code) == (SUCCEEDED, True, "ok"), result.message
     offline = fitted_in_full
@@ -121,7 +103,7 @@ def test_a_goal_gives_what_the_service_gives_and_tells_how_far_it_is(ros, client
 
 def test_a_bad_goal_is_aborted_with_the_code_of_the_service(ros, client):
     for bags, method, code in ((("missing",), "full", "not_a_bag"), (("bag",), "best", "configuration")):
-        status, result = Goal(ros, client, *bags, method=method).wait()
+        status, result = sent(ros, client, *bags, method=method).wait()
         assert (status, result.success, result.code) == (ABORTED, False, code)
         assert result.message == identify(ros, *bags, method=method).message
 
@@ -129,8 +111,8 @@ def test_a_bad_goal_is_aborted_with_the_code_of_the_service(ros, client):
 def test_a_cancelled_fit_frees_the_node_soon(ros, client):
     before = folders(ros)
     for stage in ("Accumulating", "Solving"):
-        goal = Goal(ros, client, *LONG)
-        goal.wait_for_stage(stage)
+        goal = sent(ros, client, *LONG)
+        goal.wait_for(stage)
         start = time.monotonic()
         ros.wait(goal.handle.cancel_goal_async().done, "the answer to cancel")
         status, result = goal.wait()
@@ -142,11 +124,11 @@ def test_a_cancelled_fit_frees_the_node_soon(ros, client):
 
 
 def test_one_goal_waits_and_more_are_busy(ros, client):
-    first, second, third = Goal(ros, client, *LONG), *(Goal(ros, client, "bag", method="psm") for _ in range(2))
+    first, second, third = sent(ros, client, *LONG), *(sent(ros, client, "bag", method="psm") for _ in range(2))
     status, result = third.wait()
     assert (status, result.success, result.code) == (ABORTED, False, "busy")
     assert identify(ros, "bag").code == "busy"
-    second.wait_for_stage("Waiting")
+    second.wait_for("Waiting")
     first.handle.cancel_goal_async()
     assert first.wait()[0] == CANCELED
     status, result = second.wait()
@@ -166,8 +148,8 @@ def test_a_client_that_vanishes_leaves_nothing_behind(ros, node):
     executor.add_node(stranger)
     ros.meanwhile.append(lambda: executor.spin_once(timeout_sec=0))
     with action_client(stranger) as client:
-        goals = [Goal(ros, client, *LONG) for _ in range(2)]
-        goals[0].wait_for_stage("Accumulating")
+        goals = [sent(ros, client, *LONG) for _ in range(2)]
+        goals[0].wait_for("Accumulating")
     ros.meanwhile.clear()
     executor.shutdown()
     stranger.destroy_node()

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiment_goal import Goal
+from action_goal import experiment
 from live_drive import LIGHT
 from ros_bench import require_ros, ros_bench
 
@@ -123,7 +123,7 @@ def goal(suite):
     """A function that sends a goal, first to a publisher without a fault, whatever the test before has left."""
     suite.clear()
     with suite.connected() as client:
-        yield partial(Goal, suite.ros, client)
+        yield partial(experiment, suite.ros, client)
 
 
 @pytest.mark.essential
@@ -243,14 +243,14 @@ def test_half_an_experiment_is_not_ok(suite, goal):
 @pytest.mark.slow  # an experiment in real time
 def test_goals_whose_client_is_gone_or_sends_no_heartbeats_end(suite):
     with suite.connected() as client:
-        lost = Goal(suite.ros, client, name="lost", duration=60.0)
+        lost = experiment(suite.ros, client, name="lost", duration=60.0)
         lost.wait_for("trajectory")
         suite.ros.wait(lambda: not suite.at_zero(), "current")
     suite.ros.wait(lambda: suite.states[-1].state == "idle", "the end of a goal without a client", ENDED)
     suite.ros.wait(suite.at_zero, "zero current")
     suite.ros.wait(lambda: not suite.experiment.node._requests.busy, "the end of the goal", ENDED)
     with suite.connected() as client:
-        silent = Goal(suite.ros, client, duration=60.0, lease_time=2.0)
+        silent = experiment(suite.ros, client, duration=60.0, lease_time=2.0)
         assert silent.wait(ENDED + 2.0)[1].code == "no_heartbeat"
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from experiment_goal import Goal
+from action_goal import experiment
 from ros_bench import require_ros, ros_bench
 from test_experiment import I_MAX, Suite
 
@@ -26,7 +26,7 @@ def _kill_an_experiment(suite):
 
     with suite.connected() as client:
         suite.ros._wait_until_known("/experiment")
-        Goal(suite.ros, client, name="killed", duration=60.0).wait_for("trajectory")
+        experiment(suite.ros, client, name="killed", duration=60.0).wait_for("trajectory")
         suite.ros.wait(lambda: not suite.at_zero(), "current")
         suite.experiment.popen.kill()
         suite.ros.wait(lambda: suite.states[-1].state == "tripped", "the trip")

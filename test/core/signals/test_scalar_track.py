@@ -29,6 +29,16 @@ def drive_signals(n):
     return [Signal(name, stamp, value, PERIOD) for name, value in zip(NAMES, values, strict=True)]
 
 
+def fed(joining, signals, at, count=100):
+    """Add the samples of all signals from one on, and return the pieces."""
+    part = slice(at, at + count)
+    return [
+        piece
+        for k, signal in enumerate(signals)
+        for piece in joining.add(k, replace(signal, stamp=signal.stamp[part], values=signal.values[part]))
+    ]
+
+
 def scalar(stamp, values, period=None, name="/scalar"):
     return Signal(name, np.asarray(stamp, np.int64), np.asarray(values, float)[:, None], period)
 
@@ -110,8 +120,7 @@ def test_a_sensor_that_falls_silent_does_not_stop_the_others():
         if at < 1000:
             stamp = signals[0].stamp[part][::50]
             joining.add_scalar("winding_temperature", scalar(stamp, np.full(2, 60.0), 0.5))
-        for k, signal in enumerate(signals):
-            pieces += joining.add(k, replace(signal, stamp=signal.stamp[part], values=signal.values[part]))
+        pieces += fed(joining, signals, at)
     found = joined(pieces)
     assert len(found) > 3000 - 100 - 450
     last = int(np.flatnonzero(np.isfinite(found.winding_temperature))[-1])
@@ -127,9 +136,7 @@ def test_a_slow_sensor_is_waited_for_in_bounded_memory():
     for at in range(0, 5000, 100):
         if at in values:
             joining.add_scalar("magnet_temperature", scalar(signals[0].stamp[[at]], [values[at]], 20.0))
-        for k, signal in enumerate(signals):
-            part = slice(at, at + 100)
-            pieces += joining.add(k, replace(signal, stamp=signal.stamp[part], values=signal.values[part]))
+        pieces += fed(joining, signals, at)
         longest = max(longest, sum(len(piece.samples) for piece in joining._waiting))
     assert longest <= 500
     found = joined([*pieces, *joining.finished()[1]]).magnet_temperature
@@ -143,8 +150,7 @@ def test_a_late_joiner_is_unknown_before():
         part = slice(at, at + 100)
         if at >= 800:
             joining.add_scalar("shaft_torque", scalar(signals[0].stamp[part], np.arange(at, at + 100), PERIOD))
-        for k, signal in enumerate(signals):
-            pieces += joining.add(k, replace(signal, stamp=signal.stamp[part], values=signal.values[part]))
+        pieces += fed(joining, signals, at)
     assert pieces[0].samples.shaft_torque is None
     found = joined([*pieces, *joining.finished()[1]])
     np.testing.assert_array_equal(found.shaft_torque[800:], np.arange(800.0, 1500.0))
@@ -155,8 +161,7 @@ def test_samples_that_come_after_the_patience_are_late():
     signals = drive_signals(1500)
     joining = StreamJoin(NAMES, batch=100, locking=50, scalars={"shaft_torque": "/scalar"})
     for at in range(0, 1500, 100):
-        for k, signal in enumerate(signals):
-            joining.add(k, replace(signal, stamp=signal.stamp[at : at + 100], values=signal.values[at : at + 100]))
+        fed(joining, signals, at)
     assert not joining.late
     joining.add_scalar("shaft_torque", scalar(signals[0].stamp[:200], np.zeros(200), PERIOD))
     assert joining.late

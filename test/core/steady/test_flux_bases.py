@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.interpolate import BSpline
-from steady_state import mean_drop
 
-from drive_id.core.steady.drop import DropShapes
 from drive_id.core.steady.flux_bases import AffineBasis, CoEnergyBasis, affine_rows, linearized
 
 BASIS = CoEnergyBasis(50.0, 4, 1.5)
@@ -53,13 +51,3 @@ def test_an_odd_part_adds_two_coefficients():
     assert AffineBasis(odd=True).parameters == AffineBasis().parameters + 2
     odd = CoEnergyBasis(50.0, 4, 1.5, odd=True)
     assert (odd.parameters, odd.free) == (BASIS.parameters + 2, 5)
-
-
-def test_the_drop_is_the_fundamental_over_a_turn():
-    shapes = DropShapes.up_to(100.0, usual=1.0)
-    i_dq = np.array([[-30.0, 40.0], [3.0, -1.0], [-0.4, 0.2]])
-    for number in range(len(shapes.scales)):
-        curve = mean_drop(i_dq, lambda i, number=number: shapes(i)[..., number])
-        np.testing.assert_allclose(shapes.vectors(i_dq)[..., number], curve, atol=4e-3)
-    sharp = np.hypot(*shapes.vectors(i_dq)[..., 0].T)
-    np.testing.assert_allclose(sharp, 4 / np.pi, rtol=3e-4)

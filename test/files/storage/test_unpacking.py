@@ -111,27 +111,27 @@ def test_a_message_packed_by_itself(tmp_path, monkeypatch):
         read_recording(path)
 
 
-def test_a_table_that_is_computed(tmp_path):
-    path = tmp_path / "x.db3"
+def of_sqlite(path, table, *values):
+    """Make a file of one topic, whose messages are in a table with these columns, and one message."""
     with sqlite3.connect(path) as database:
         database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)")
-        database.execute("CREATE TABLE messages(id, topic_id, timestamp, data AS (zeroblob(900000000)))")
+        database.execute(f"CREATE TABLE messages({table})")
         database.execute("INSERT INTO topics VALUES(1, '/x', 'a/msg/B', 'cdr')")
-        database.execute("INSERT INTO messages VALUES(1, 1, 1)")
+        database.execute(f"INSERT INTO messages VALUES({', '.join(values)})")
     database.close()
+    return path
+
+
+def test_a_table_that_is_computed(tmp_path):
+    path = of_sqlite(tmp_path / "x.db3", "id, topic_id, timestamp, data AS (zeroblob(900000000))", "1", "1", "1")
     with pytest.raises(TruncatedBagError, match="its table messages is computed, not recorded"):
         bag_info(path)
 
 
 def test_a_message_that_is_too_large(tmp_path, monkeypatch):
     monkeypatch.setattr("drive_id.files.storage.sqlite.LARGEST_CHUNK", 1000)
-    path = tmp_path / "x.db3"
-    with sqlite3.connect(path) as database:
-        database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format)")
-        database.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
-        database.execute("INSERT INTO topics VALUES(1, '/x', 'a/msg/B', 'cdr')")
-        database.execute("INSERT INTO messages VALUES(1, 1, 1, zeroblob(1001))")
-    database.close()
+    table = "id INTEGER PRIMARY KEY, topic_id, timestamp, data"
+    path = of_sqlite(tmp_path / "x.db3", table, "1", "1", "1", "zeroblob(1001)")
     with pytest.raises(TruncatedBagError, match="it holds a message of 1 kB"):
         bag_info(path)
 

@@ -1,20 +1,18 @@
-"""Goals of experiments."""
+"""Goals of the actions of the nodes."""
 
 from __future__ import annotations
 
 import time
 
 
-class Goal:
-    """A goal of the node ``experiment``, its feedback and its result."""
+class SentGoal:
+    """A goal that was accepted, its feedback and its result."""
 
-    def __init__(self, ros, client, **fields):
-        from drive_id_msgs.action import Experiment
-
+    def __init__(self, ros, client, goal):
         self.ros, self.feedback, self.times = ros, [], []
         self.ros.wait(client.server_is_ready, "the action server")
         self.begun = time.monotonic()
-        sent = client.send_goal_async(Experiment.Goal(**fields), feedback_callback=self._heard)
+        sent = client.send_goal_async(goal, feedback_callback=self._heard)
         self.ros.wait(sent.done, "the acceptance of a goal")
         self.handle = sent.result()
         assert self.handle.accepted
@@ -29,9 +27,17 @@ class Goal:
         self.ros.wait(self.future.done, f"the result of a goal, {self.feedback[-1:]}", within)
         return self.future.result().status, self.future.result().result
 
-    def wait_for(self, phase):
+    def wait_for(self, stage):
         def there():
-            return self.future.done() or any(entry.phase == phase for entry in self.feedback)
+            words = (getattr(entry, "phase", "") or getattr(entry, "stage", "") for entry in self.feedback)
+            return self.future.done() or stage in words
 
-        self.ros.wait(there, f"phase {phase}")
+        self.ros.wait(there, f"stage {stage}")
         assert not self.future.done(), self.future.result().result.message
+
+
+def experiment(ros, client, **fields):
+    """Send a goal of the node ``experiment``."""
+    from drive_id_msgs.action import Experiment
+
+    return SentGoal(ros, client, Experiment.Goal(**fields))

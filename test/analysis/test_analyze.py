@@ -296,20 +296,3 @@ def test_the_command_writes_what_the_object_does(result, folder, run, tmp_path):
     assert code == 0
     for word in ("corner speed", "rpm", "max torque", "Written to"):
         assert word in out
-
-
-def test_the_command_refuses_bad_input_in_one_sentence(result, run, tmp_path):
-    unknown = replace(result, provenance=replace(result.provenance, pole_pairs=None, u_dc=None))
-    unknown.save(tmp_path / "unknown", draw=False)
-    out = tmp_path / "out"
-    for arguments, words in (
-        ((tmp_path / "unknown", "--output", out), "give --pole-pairs"),
-        ((tmp_path / "unknown", "--output", out, "--u-dc", "-5"), "u_dc is -5.0 V"),
-        ((tmp_path / "nothing", "--output", out), "is not a result folder"),
-        ((tmp_path / "unknown", "--output", tmp_path), "not results of drive_id"),
-    ):
-        code, _, err = run("analyze", *arguments)
-        assert code == 1
-        assert words in " ".join(err.split())
-        assert "Traceback" not in err
-    assert not out.exists()

@@ -20,7 +20,7 @@ from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather, identify
-from drive_id.errors import ConfigurationError, CoverageError, DataError, NotABagError
+from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read import extraction
 from drive_id.files.read import reader as bag_pieces
@@ -242,27 +242,6 @@ def test_bags_that_are_read_at_once(bag, tmp_path, monkeypatch):
     for i_max in (None, 310.0):
         found, _ = assert_same_as_in_memory([sorted_by_topic, bag], FitSettings("joint", i_max=i_max))
         assert found.samples == 40_000
-
-
-@pytest.mark.usefixtures("long")
-def test_bad_recordings_are_refused_in_the_same_words(simulation, tmp_path):
-    samples = simulation.samples
-    jump = samples.angle.copy()
-    jump[7000:] += 2.0
-    for kind, wrong in (
-        (DataError, replace(samples, angle=jump)),
-        (CoverageError, replace(samples, i_dq_reference=np.full((len(samples), 2), 2.0))),
-    ):
-        path = tmp_path / kind.__name__
-        write_recording(path, wrong)
-        with pytest.raises(kind) as expected:
-            gather([read_recording([path]).samples], SETTINGS)
-        for i_max in (None, 310.0):
-            with pytest.raises(kind) as found:
-                accumulate([path], replace(SETTINGS, i_max=i_max))
-            assert str(found.value) == str(expected.value)
-    with pytest.raises(NotABagError, match="There is no "):
-        accumulate([tmp_path / "none"], SETTINGS)
 
 
 @pytest.mark.usefixtures("long")

@@ -84,18 +84,11 @@ class Operator:
         client.destroy()
 
     def param_set(self, node, name, value):
-        from rcl_interfaces.srv import SetParameters
-        from rclpy.parameter import Parameter
-
-        parameters = [Parameter(name, value=yaml.safe_load(value)).to_parameter_msg()]
-        reply = self.ros.call(SetParameters, f"{node}/set_parameters", parameters=parameters)
-        assert reply.results[0].successful, reply.results[0].reason
+        result = self.ros.set_parameters(node, **{name: yaml.safe_load(value)})
+        assert result.successful, result.reason
 
     def lifecycle_set(self, node, label):
-        from lifecycle_msgs.msg import Transition
-        from lifecycle_msgs.srv import ChangeState
-
-        assert self.ros.call(ChangeState, f"{node}/change_state", transition=Transition(label=label)).success
+        assert self.ros.change_state(node, label)
 
 
 @pytest.fixture(scope="module")

@@ -28,8 +28,6 @@ def test_a_drive_that_restarts_is_told_of_by_all_who_listen(ros, tmp_path):
     """Identification refuses one map, the recorder begins another recording, and both end on SIGHUP."""
     from diagnostic_msgs.msg import DiagnosticArray
     from drive_id_msgs.srv import Identify, StartRecording, StopRecording
-    from rcl_interfaces.srv import SetParameters
-    from rclpy.parameter import Parameter
 
     said = {}
     ros.node.create_subscription(
@@ -49,8 +47,7 @@ def test_a_drive_that_restarts_is_told_of_by_all_who_listen(ros, tmp_path):
 
     ros.wait(lambda: samples("/identification", "samples") > 3000, "live samples")
     ros.wait(lambda: samples("/recorder", "samples") > 3000, "recorded samples")
-    restarted = Parameter("restarts", value=1).to_parameter_msg()
-    assert ros.call(SetParameters, "/bench_simulator/set_parameters", parameters=[restarted]).results[0].successful
+    assert ros.set_parameters("/bench_simulator", restarts=1).successful
     ros.wait(lambda: "come from two drives" in said["/identification"].message, "the news of the restart")
     reply = ros.call(Identify, "/identification/identify")
     assert (reply.success, reply.code) == (False, Identify.Response.CODE_DRIVE_CHANGED)

@@ -469,12 +469,10 @@ def test_diagnostics_tell_of_losses(ros, player, bag):
 
 
 def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag):
-    from rcl_interfaces.srv import GetParameters, SetParameters
-    from rclpy.parameter import Parameter
+    from rcl_interfaces.srv import GetParameters
 
     def set_parameter(name, value):
-        parameter = Parameter(name, value=value).to_parameter_msg()
-        return ros.call(SetParameters, "/identification/set_parameters", parameters=[parameter]).results[0]
+        return ros.set_parameters("/identification", **{name: value})
 
     player.play(messages_of(bag))
     identify_all(ros, 20_000)

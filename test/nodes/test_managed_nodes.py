@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 from recorder_blocks import PERIOD, TOPICS
 from ros_bench import DEADLINE, ros_bench
-from test_recorder_node import Bench, change_state
+from test_recorder_node import Bench
 
 REQUESTS = 200
 
@@ -32,7 +32,7 @@ def settings(ros, **further):
 def test_the_lifecycle_of_identification(ros):
     given = settings(ros, i_max=40.0, method="joint", autostart=False)
     ros.host("drive_id.nodes.identification", parameters=given)
-    change, bench = partial(change_state, ros, "/identification"), Bench(ros)
+    change, bench = partial(ros.change_state, "/identification"), Bench(ros)
     heard = bench.publishers[TOPICS[0].name].get_subscription_count
     assert (reply := identify(ros)).code == "inactive"
     assert "The node is unconfigured: configure and activate it" in reply.message
@@ -61,7 +61,7 @@ def test_the_lifecycle_of_identification(ros):
 def test_a_lifecycle_manager_brings_all_nodes_up_and_down(ros):
     """By the services and numbers that such managers use: all are configured, then activated, and back in reverse."""
     from lifecycle_msgs.msg import State, Transition
-    from lifecycle_msgs.srv import ChangeState, GetState
+    from lifecycle_msgs.srv import GetState
 
     nodes = ("recorder", "identification", "trajectory_publisher")
     for node in nodes:
@@ -76,7 +76,7 @@ def test_a_lifecycle_manager_brings_all_nodes_up_and_down(ros):
         (Transition.TRANSITION_UNCONFIGURED_SHUTDOWN, State.PRIMARY_STATE_FINALIZED, nodes[::-1]),
     ):
         for node in order:
-            assert ros.call(ChangeState, f"/{node}/change_state", transition=Transition(id=number)).success
+            assert ros.change_state(f"/{node}", number=number)
             assert ros.call(GetState, f"/{node}/get_state").current_state.id == state
 
 
@@ -90,7 +90,7 @@ def test_a_request_under_way_ends_with_the_activity(ros):
     bench.publish(300)
     bench.wait_until_delivered()
     future = ros.call_async(Identify, "/identification/identify")
-    assert change_state(ros, "/identification", "deactivate")
+    assert ros.change_state("/identification", "deactivate")
     ros.wait(future.done, "a reply")
     assert not future.result().success  # these samples make no map anyway
     assert future.result().code in {"inactive", "coverage", "standstill", "unexplained", "data"}
@@ -109,7 +109,7 @@ def test_the_lifecycle_of_the_bridge(ros):
     kept = ros.node.create_subscription(PhaseCurrents, "/phase_currents", received.append, 1000)
     given = {"signals": str(file), "autostart": False}
     ros.host("drive_id.nodes.signal_bridge", parameters=given)
-    change, bench = partial(change_state, ros, "/signal_bridge"), Bench(ros, namespace="/in")
+    change, bench = partial(ros.change_state, "/signal_bridge"), Bench(ros, namespace="/in")
     bench.publishers = {topic.name: bench.publishers[topic.name] for topic in TOPICS[:3]}
     assert change("configure")
     bench.wait_for_listeners()

@@ -46,10 +46,7 @@ class Managed:
         self.node = ros.host(MODULE, parameters=given | parameters)
 
     def change(self, label="", number=0):
-        from lifecycle_msgs.msg import Transition
-        from lifecycle_msgs.srv import ChangeState
-
-        return self.ros.call(ChangeState, f"{NAME}/change_state", transition=Transition(label=label, id=number)).success
+        return self.ros.change_state(NAME, label, number)
 
     def state(self):
         from lifecycle_msgs.srv import GetState

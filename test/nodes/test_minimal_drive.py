@@ -116,22 +116,10 @@ def statuses_of(drive):
 
 def test_the_angle_of_the_encoder_is_taken_only_at_rest(ready):
     """Its machine needs none: an offset turns the angle on resolver by as much."""
-    from rcl_interfaces.srv import SetParametersAtomically
-    from rclpy.parameter import Parameter
-
-    client = ready.ros.node.create_client(SetParametersAtomically, "/minimal_drive/set_parameters_atomically")
-    ready.ros.wait(client.service_is_ready, "the service")
-
-    def set_offset(value):
-        parameters = [Parameter("encoder_offset", value=value).to_parameter_msg()]
-        future = client.call_async(SetParametersAtomically.Request(parameters=parameters))
-        ready.ros.wait(future.done, "a reply")
-        return future.result()
-
-    assert set_offset(0.5).result.successful
-    assert set_offset(0.0).result.successful
+    assert ready.set_parameters("minimal_drive", encoder_offset=0.5).successful
+    assert ready.set_parameters("minimal_drive", encoder_offset=0.0).successful
     ready.run_without_end(10.0)
-    assert "stop it first" in set_offset(0.5).result.reason
+    assert "stop it first" in ready.set_parameters("minimal_drive", encoder_offset=0.5).reason
     with on_receipt(ready):
         ready.trigger("stop")
 

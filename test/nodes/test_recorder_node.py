@@ -96,11 +96,7 @@ class Recorder:
         return reply
 
     def set(self, name, value):
-        from rcl_interfaces.srv import SetParameters
-        from rclpy.parameter import Parameter
-
-        parameters = [Parameter(name, value=value).to_parameter_msg()]
-        assert self.ros.call(SetParameters, f"{self.name}/set_parameters", parameters=parameters).results[0].successful
+        assert self.ros.set_parameters(self.name, **{name: value}).successful
 
     def wait_for_status(self, text, level=None):
         """Wait for a status that contains the text."""
@@ -333,8 +329,6 @@ def test_a_clock_that_is_not_there_or_stops(ros):
 def test_further_topics_of_any_type_with_their_definitions(ros):
     """One of before the recording (transient local), one that comes up during it, one that nobody publishes."""
     from geometry_msgs.msg import TransformStamped
-    from rcl_interfaces.srv import SetParameters
-    from rclpy.parameter import Parameter
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     from sensor_msgs.msg import Temperature
 
@@ -371,8 +365,7 @@ def test_further_topics_of_any_type_with_their_definitions(ros):
     assert [message.transform.translation.z for message in values["/mount"]] == [0.25]
     assert [message.temperature for message in values["/motor/temperature"]] == [40.0, 41.0, 42.0, 43.0, 44.0]
     assert "/nobody" not in kinds
-    bad = Parameter("extra_topics", value=["what is this?"]).to_parameter_msg()
-    result = ros.call(SetParameters, "/recorder/set_parameters", parameters=[bad]).results[0]
+    result = ros.set_parameters("/recorder", extra_topics=["what is this?"])
     assert not result.successful
     assert "not the name of a topic" in result.reason
 
@@ -529,7 +522,7 @@ def test_the_lifecycle(ros):
     from drive_id_msgs.srv import Command
 
     recorder = Recorder(ros, autostart=False)
-    change, bench = partial(change_state, ros, recorder.name), Bench(ros)
+    change, bench = partial(ros.change_state, recorder.name), Bench(ros)
     reply = recorder.start("bag")
     assert (reply.success, reply.code) == (False, "inactive")
     assert "configure and activate it" in reply.message
@@ -562,26 +555,11 @@ def test_the_lifecycle(ros):
     assert len(read_recording(recorder.data / "second").samples) == 300
 
 
-def change_state(ros, node, label):
-    from lifecycle_msgs.msg import Transition
-    from lifecycle_msgs.srv import ChangeState
-
-    return ros.call(ChangeState, f"{node}/change_state", transition=Transition(label=label)).success
-
-
 # -- parameters ----------------------------------------------------------------------------------------------------
 
 
 def test_which_parameters_change_and_which_values_are_refused(ros):
-    from rcl_interfaces.srv import SetParametersAtomically
-    from rclpy.parameter import Parameter
-
     ros.host(MODULE)
-
-    def change(name, value):
-        parameter = Parameter(name, value=value).to_parameter_msg()
-        return ros.call(SetParametersAtomically, "/recorder/set_parameters_atomically", parameters=[parameter]).result
-
-    assert change("max_file_size", 5.0).successful
+    assert ros.set_parameters("/recorder", max_file_size=5.0).successful
     for name, value in (("chunk_size", 10**6), ("compression", "zip"), ("flush_period", 0.0), ("queue_depth", 2000)):
-        assert not change(name, value).successful, name
+        assert not ros.set_parameters("/recorder", **{name: value}).successful, name

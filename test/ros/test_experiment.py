@@ -104,11 +104,7 @@ class Suite:
         self.button.publish(Bool(data=pressed))
 
     def set_speed(self, rpm):
-        from rcl_interfaces.srv import SetParameters
-        from rclpy.parameter import Parameter
-
-        given = [Parameter("speeds", value=[rpm]).to_parameter_msg()]
-        assert self.ros.call(SetParameters, "/bench_simulator/set_parameters", parameters=given).results[0].successful
+        assert self.ros.set_parameters("/bench_simulator", speeds=[rpm]).successful
 
 
 @pytest.fixture(scope="module")

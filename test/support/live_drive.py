@@ -159,12 +159,7 @@ class LiveDrive:
 
     def set_parameters(self, node="trajectory_publisher", **values):
         """Set parameters together and return what the node says to it."""
-        from rcl_interfaces.srv import SetParametersAtomically
-        from rclpy.parameter import Parameter
-
-        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
-        name = f"{self.namespace}/{node}/set_parameters_atomically"
-        return self.ros.call(SetParametersAtomically, name, parameters=parameters).result
+        return self.ros.set_parameters(f"{self.namespace}/{node}", **values)
 
     def references(self):
         """Return stamps (N,), ns, and references (N, 2), A, as they hold: later blocks take back what follows them."""

@@ -284,6 +284,21 @@ class RosBench:
         self.wait(future.done, f"reply of {name}", timeout)
         return future.result()
 
+    def set_parameters(self, node, **values):
+        """Set parameters of a node, by its full name, together and return what it says to it."""
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+        return self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", parameters=parameters).result
+
+    def change_state(self, node, label="", number=0):
+        """Ask a node, by its full name, for a transition of its lifecycle, and tell whether it made it."""
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        return self.call(ChangeState, f"{node}/change_state", transition=Transition(label=label, id=number)).success
+
     def close(self):
         troubles = [trouble for each in (*self.hosted, *self.processes) if (trouble := each.end())]
         self.executor.shutdown()

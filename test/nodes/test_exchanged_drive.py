@@ -26,13 +26,9 @@ def ros():
 
 def test_a_drive_that_restarts_is_told_of_by_all_who_listen(ros, tmp_path):
     """Identification refuses one map, the recorder begins another recording, and both end on SIGHUP."""
-    from diagnostic_msgs.msg import DiagnosticArray
     from drive_id_msgs.srv import Identify, StartRecording, StopRecording
 
-    said = {}
-    ros.node.create_subscription(
-        DiagnosticArray, "/diagnostics", lambda array: said.update({s.name: s for s in array.status}), 100
-    )
+    said = ros.diagnostics()
     own = {"data_directory": str(tmp_path), "i_max": 100.0, "method": "joint", "refit_share": 0.0}
     identification = ros.start(
         "drive_id.nodes.identification", parameters={**own, "output_directory": str(tmp_path / "out")}
@@ -43,12 +39,12 @@ def test_a_drive_that_restarts_is_told_of_by_all_who_listen(ros, tmp_path):
     assert ros.call(StartRecording, "/recorder/start", name="two").success
 
     def samples(node, key):
-        return int({v.key: v.value for v in said[node].values}.get(key) or 0) if node in said else 0
+        return int(said.get(node, {}).get(key) or 0)
 
     ros.wait(lambda: samples("/identification", "samples") > 3000, "live samples")
     ros.wait(lambda: samples("/recorder", "samples") > 3000, "recorded samples")
     assert ros.set_parameters("/bench_simulator", restarts=1).successful
-    ros.wait(lambda: "come from two drives" in said["/identification"].message, "the news of the restart")
+    ros.wait(lambda: "come from two drives" in said["/identification"]["message"], "the news of the restart")
     reply = ros.call(Identify, "/identification/identify")
     assert (reply.success, reply.code) == (False, Identify.Response.CODE_DRIVE_CHANGED)
     assert "Ask for the part 'before'" in reply.message

@@ -13,14 +13,7 @@ CONFIG = Path(__file__).parent.parent.parent / "config"
 @pytest.fixture(scope="module")
 def statuses(ros):
     """A bench that everybody finds, and what all nodes say in their diagnostics."""
-    from diagnostic_msgs.msg import DiagnosticArray
-
-    found = {}
-
-    def note(message):
-        found.update({status.name: {value.key: value.value for value in status.values} for status in message.status})
-
-    ros.node.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
+    found = ros.diagnostics()
     ros.host("drive_id.nodes.bench_simulator", files=[CONFIG / "bench_simulator.yaml"], parameters=LIGHT)
     return found
 

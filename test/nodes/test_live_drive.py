@@ -156,17 +156,10 @@ def test_the_state_is_there_for_late_subscribers(drive):
 
 
 def test_parameters_are_refused_with_the_reason(drive):
+    """Those of one kind and range: test_parameters.py has the others, test_state_machine.py what fits together."""
     drive.run_without_end()
     for values, reason in (
-        ({"i_max": -1.0}, "range"),
-        ({"i_max": float("nan")}, "range"),
-        ({"duration": "long"}, "Wrong parameter type"),
-        ({"trajectory": "circle"}, "one of lissajous, stair, spiral"),
-        ({"lead_time": 0.03}, "at least two intervals"),
         ({"slew_rate": 1000.0}, "needs up to 4809 A/s where slew_rate allows 1000 A/s"),
-        ({"speed_min": 5.0, "speed_max": 4.0}, "the band must not be empty"),
-        ({"current_limit": float("inf")}, "finite"),
-        ({"speed_min": None}, "cannot be undeclared"),
         ({"publish_rate": 20.0}, "read-only"),
         ({"watch": False}, "read-only"),
         ({"require_status": False}, "read-only"),
@@ -209,11 +202,8 @@ def test_signals_end_the_publisher_with_zero_current():
 def test_a_wrong_start_is_one_sentence():
     wrong = [
         ("bench_simulator", {"machine": "dc"}, "There is no machine 'dc'"),
-        ("bench_simulator", {"block_size": 0}, "block_size"),
         ("bench_simulator", {"time_scale": 2.0, "use_sim_time": True}, "do not set use_sim_time"),
         ("bench_simulator", {"truth_file": "/nowhere/truth.npz"}, "The truth cannot be written to /nowhere/truth.npz"),
-        ("trajectory_publisher", {"i_max": 0.0}, "i_max"),
-        ("trajectory_publisher", {"i_max": 100}, "i_max"),
         ("trajectory_publisher", {"slew_rate": 1000.0}, "slew_rate"),
         (
             "trajectory_publisher",

@@ -22,7 +22,6 @@ voltages:
 
 
 def test_a_stranger_is_translated_and_nothing_is_lost(ros):
-    from diagnostic_msgs.msg import DiagnosticArray
     from drive_id_msgs.msg import PhaseCurrents, PhaseVoltages, Resolver
     from rclpy.qos import QoSProfile
     from sensor_msgs.msg import JointState
@@ -44,10 +43,7 @@ def test_a_stranger_is_translated_and_nothing_is_lost(ros):
     for kind, name in ((PhaseCurrents, "phase_currents"), (PhaseVoltages, "phase_voltages"), (Resolver, "resolver")):
         ros.node.create_subscription(kind, name, received[kind].append, deep)
 
-    def note(message):
-        values.update({s.name: {v.key: v.value for v in s.values} | {"message": s.message} for s in message.status})
-
-    ros.node.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
+    values = ros.diagnostics()
     joint = ros.node.create_publisher(JointState, "joint", deep)
     floats = ros.node.create_publisher(Float32MultiArray, "duty", deep)
     listening = {joint: 2, floats: 2}

@@ -74,7 +74,6 @@ def test_fits_of_bags_leave_no_memory_behind(ros, bag, monkeypatch):
 @pytest.mark.process
 @pytest.mark.parametrize("trajectory", ["lissajous", "stair"])
 def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
-    from diagnostic_msgs.msg import DiagnosticArray
     from std_srvs.srv import Trigger
 
     namespace = f"/{trajectory}"
@@ -87,18 +86,12 @@ def test_no_callback_of_the_publisher_takes_long(ros, trajectory):
         parameters={"trajectory": trajectory, "lead_time": 2.0, "watch_timeout": 10.0, "clock_offset": 10.0},  # patient
         namespace=namespace,
     )
-    heard = {}
     name = f"{namespace}/trajectory_publisher"
 
-    def note(array):
-        for status in array.status:
-            heard[status.name] = {value.key: value.value for value in status.values}
-
-    subscription = ros.node.create_subscription(DiagnosticArray, "/diagnostics", note, 100)
+    heard = ros.diagnostics()
     ros.wait(lambda: heard.get(name) and heard.get(f"{namespace}/bench_simulator"), "news of both")
     ros.wait(lambda: ros.call(Trigger, f"{name}/start").success, "the start")
     ros.wait(lambda: float(heard[name].get("elapsed [s]", 0)) > 3.0, "three seconds of the trajectory")
-    ros.node.destroy_subscription(subscription)
     assert process.interrupt()[0] == 0, process.output
     bench.end()
     spent = dict(re.findall(r"^spent: \S+\.(\w+) (.*)$", process.output, re.MULTILINE))

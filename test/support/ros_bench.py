@@ -292,6 +292,19 @@ class RosBench:
         parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
         return self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", parameters=parameters).result
 
+    def diagnostics(self):
+        """Return what each node says on /diagnostics, by its name: values and ``message``, which go on changing."""
+        from diagnostic_msgs.msg import DiagnosticArray
+
+        said = {}
+
+        def hear(array):
+            for status in array.status:
+                said[status.name] = {value.key: value.value for value in status.values} | {"message": status.message}
+
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", hear, 100)
+        return said
+
     def change_state(self, node, label="", number=0):
         """Ask a node, by its full name, for a transition of its lifecycle, and tell whether it made it."""
         from lifecycle_msgs.msg import Transition

@@ -138,17 +138,12 @@ class Replies:
 
 
 class Graph:
-    """A client in a ROS context of its own, and the nodes that it has started.
+    """A client in a ROS context of its own, and the nodes that it has started; a folder takes the logs.
 
-    Parameters
-    ----------
-    folder : Path
-        For logs.
-    alone : bool
-        Refuse a domain with other nodes, whose answers could be mistaken for ours.
+    It refuses a domain with other nodes, whose answers could be mistaken for ours.
     """
 
-    def __init__(self, folder: Path, *, alone: bool = True) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.started: list[NodeProcess] = []
         self.replies = Replies()
@@ -160,9 +155,9 @@ class Graph:
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self.node)
         self._clients: dict[str, Any] = {}
-        self.spin(_DISCOVERY if alone else 0.0)
+        self.spin(_DISCOVERY)
         others = set(self.node.get_node_names()) - {self.node.get_name()}
-        if alone and others:
+        if others:
             domain = os.environ["ROS_DOMAIN_ID"]
             raise SystemExit(f"Other nodes are in domain {domain} ({', '.join(sorted(others))}): set ROS_DOMAIN_ID.")
 

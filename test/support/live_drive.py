@@ -135,12 +135,11 @@ class LiveDrive:
         self.ask("stop", lambda reply: reply.message.startswith("Nothing is running."), "rest")
         self.ros.wait(self.is_at_zero, "zero current")
 
-    def ended_at_zero(self, alive=True):
+    def ended_at_zero(self):
         """Wait until the last references are zero, and return all as they hold: stamps (N,), ns, and (N, 2), A."""
         last = self.messages["current_reference"]
         self.ros.wait(lambda: np.all(np.concatenate([last[-1].d, last[-1].q]) == 0.0), "references of zero")
-        if alive:
-            self.ros.wait(self.is_at_zero, "zero current")
+        self.ros.wait(self.is_at_zero, "zero current")
         return self.references()
 
     def wait_for_message(self, text):

@@ -8,12 +8,8 @@ import pytest
 from exact_results import exact_map
 from scipy import sparse
 
-from drive_id.core.maps.flux_models import TensorSpline
 from drive_id.core.numerics import normal_equations, scans
-from drive_id.core.numerics.bspline import Axis
 from drive_id.core.validation import current_simulation
-
-MODEL = TensorSpline(Axis(-10.0, 12.0, 8), Axis(-9.0, 9.0, 7))
 
 
 def currents(count=500):

@@ -29,9 +29,9 @@ def drive_signals(n):
     return [Signal(name, stamp, value, PERIOD) for name, value in zip(NAMES, values, strict=True)]
 
 
-def fed(joining, signals, at, count=100):
-    """Add the samples of all signals from one on, and return the pieces."""
-    part = slice(at, at + count)
+def fed(joining, signals, at):
+    """Add 100 samples of all signals, and return the pieces."""
+    part = slice(at, at + 100)
     return [
         piece
         for k, signal in enumerate(signals)

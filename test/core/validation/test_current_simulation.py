@@ -46,15 +46,6 @@ def simulated(simulation, samples=None, **model):
     )
 
 
-def short_run():
-    axis = np.linspace(-350.0, 350.0, 8)
-    psi = synthetic.saturating_flux(np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1))
-    waves = HarmonicMap.of(6, 0.01 * psi, -0.02 * psi), HarmonicMap.of(12, 0.005 * psi[::-1], 0.005 * psi)
-    samples = synthetic.record(speed=1500.0, duration=0.02)
-    drop = np.array([-6.0, -2.0, 2.0, 6.0]), np.array([-4.0, -2.0, 2.0, 4.0])
-    return simulate_current(samples, exact_map(axis, axis, psi, harmonics=waves), 0.02, drop)
-
-
 @pytest.mark.cases
 @pytest.mark.parametrize(("name", "rpm"), [("ipm", 500.0), ("spm", 3000.0), ("pmsyrm", -700.0)])
 def test_the_true_model_gives_the_measured_current(name, rpm):

@@ -12,11 +12,13 @@ from drive_id.core.numerics import normal_equations, scans
 from drive_id.core.validation import current_simulation
 
 
-def currents(count=500):
-    """Return currents within and beyond the model's range, at its edges and at knots."""
-    random = np.random.default_rng(5).uniform(-14, 14, (count, 2))
-    special = np.array([[-10.0, -9.0], [12.0, 9.0], [-10.0 + 22 / 5, -9.0 + 18 / 4], [np.nan, 0.0], [np.inf, -np.inf]])
-    return np.concatenate([random, special])
+def test_scans():
+    assert scans.all_finite(np.full((3, 2), 1e308))
+    assert not scans.all_finite(np.array([[1.0, np.nan]]))
+    assert not scans.all_finite(np.array([[np.inf, -np.inf]]))
+    assert scans.rising(np.array([1, 2, 3]))
+    assert scans.rising(np.array([1]))
+    assert not scans.rising(np.array([1, 2, 2]))
 
 
 @pytest.mark.parametrize("rest", [0, 3, 50])

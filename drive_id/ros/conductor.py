@@ -27,7 +27,7 @@ SERVICES = {
     f"{IDENTIFICATION}/reset": Command,
     **{f"{node}/get_parameters": GetParameters for node in NODES},
 }
-WAITING, TRAJECTORY, STOPPING, IDENTIFYING = PHASES = ("waiting", "trajectory", "stopping", "identifying")
+WAITING, TRAJECTORY, STOPPING, IDENTIFYING = ("waiting", "trajectory", "stopping", "identifying")
 STOP_TIME = 15.0
 """Longest time to bring the drive to rest and complete the bag when a goal ends early, s."""
 _STOPPING = 4.0

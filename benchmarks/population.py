@@ -69,8 +69,8 @@ CAUSES = {
         "voltage_clipped", "misfit", "misfit.small_currents",
     ),
     "timing": (
-        "angle_latency", "angle_tracking", "current_latency", "voltage_delay*", "time_shift", "decimated", "outlier",
-        "single_sample", "no_checksums", "misfit.time",
+        "angle_latency", "angle_tracking", "current_latency", "sampling_instant", "voltage_delay*", "time_shift",
+        "decimated", "outlier", "single_sample", "no_checksums", "misfit.time",
     ),
     "angle": ("angle_offset", "resolver_offset", "mirror_asymmetry", "magnet_negative"),
     "gains": (

@@ -69,9 +69,10 @@ class Stretch:
         return np.where(unknown[end] == unknown[begin], link[end] - link[begin], np.nan)
 
     def sensed(self, period: float, scales: FloatArray) -> ComplexArray:
-        """Return the integrals (N, L, 5) from the first sample on, see :class:`~drive_id.core.full.windows.Windows`."""
-        out, (pairs, axes) = np.zeros((len(self), len(scales), 5, 2)), (frames.as_pairs(x) for x in (self.i_s, _AXES))
-        _integrate(self.i_abc, pairs, period, np.ascontiguousarray(scales), axes, out)
+        """Return the integrals (N, L, 7) from the first sample on, see :class:`~drive_id.core.full.windows.Windows`."""
+        out = np.zeros((len(self), len(scales), 7, 2))
+        i_s, turn, axes = (frames.as_pairs(x) for x in (self.i_s, np.exp(1j * self.angle), _AXES))
+        _integrate(self.i_abc, i_s, turn, period, np.ascontiguousarray(scales), axes, out)
         return _complex(out)
 
 
@@ -226,10 +227,11 @@ def _follow(
                 lagged[k, lag, axis] = driven + decay * lagged[k - 1, lag, axis]
 
 
-@compiled("const f8[:, ::1], const f8[:, ::1], f8, const f8[::1], const f8[:, ::1], f8[:, :, :, ::1]")
+@compiled("const f8[:, ::1], const f8[:, ::1], const f8[:, ::1], f8, const f8[::1], const f8[:, ::1], f8[:, :, :, ::1]")
 def _integrate(
-    i_abc: FloatArray, i_s: FloatArray, period: float, scales: FloatArray, axes: FloatArray, sensed: FloatArray
-) -> None:
+    i_abc: FloatArray, i_s: FloatArray, turn: FloatArray, period: float, scales: FloatArray, axes: FloatArray,
+    sensed: FloatArray,
+) -> None:  # fmt: skip
     """Integrate the slopes of the shapes, see :meth:`Stretch.sensed`, of which the first are given.
 
     A change x of the measured currents changes the integral of a shape h(i) by that of h'(i) x, where h' is its
@@ -237,8 +239,9 @@ def _integrate(
     """
     for k in range(1, len(i_abc)):
         alpha, beta = 0.5 * (i_s[k - 1, 0] + i_s[k, 0]), 0.5 * (i_s[k - 1, 1] + i_s[k, 1])
+        real, imag = 0.5 * (turn[k - 1, 0] + turn[k, 0]), 0.5 * (turn[k - 1, 1] + turn[k, 1])
         for number in range(len(scales)):
-            for effect in range(5):
+            for effect in range(7):
                 for axis in range(2):
                     sensed[k, number, effect, axis] = sensed[k - 1, number, effect, axis]
         for phase in range(3):
@@ -247,12 +250,13 @@ def _integrate(
                 continue
             cosine, sine = axes[phase, 0], axes[phase, 1]
             moved = (
-                alpha * sine - beta * cosine, alpha * cosine - beta * sine, alpha * sine + beta * cosine, cosine, sine
+                alpha * sine - beta * cosine, alpha * cosine - beta * sine, alpha * sine + beta * cosine, cosine, sine,
+                real * cosine + imag * sine, real * sine - imag * cosine,
             )  # fmt: skip
             for number in range(len(scales)):
                 rise = drop_shape(now / scales[number]) - drop_shape(before / scales[number])
                 share = 2.0 * THIRD * period * rise / (now - before)
-                for effect in range(5):
+                for effect in range(7):
                     sensed[k, number, effect, 0] += share * moved[effect] * cosine
                     sensed[k, number, effect, 1] += share * moved[effect] * sine
 

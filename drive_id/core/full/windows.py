@@ -143,8 +143,8 @@ class Windows(Terms):
     gaps: FloatArray  # (N,), sum of the gaps since the start of the recording, s
     # (N, L + 1, 3), integrals of the magnitudes of the coarse shapes, s, and last of the phase currents, As
     rectified: FloatArray
-    # (N, L, 5), int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s), j conj(i_s), 1 and j:
-    # by how much the faults of the current sensors change their integrals, s, the last two s/A
+    # (N, L, 7), int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s), j conj(i_s), 1, j,
+    # e^{j theta} and j e^{j theta}: by how much errors of the currents change their integrals, s, the last four s/A
     sensed: ComplexArray
     # (N, 2), d i_dq / dt before [start, end], A/s, from earlier samples only: the controller responds to the noise of a
     # sample later, so that noise and slope are independent

@@ -29,7 +29,7 @@ NEAR = 0.02
 OF_SAMPLING = {
     "flux_lag_1ms": 0.06, "current_latency": 0.03, "current_offset": 0.1, "current_offset, imaginary": 0.1,
     "late_magnet_heating": 0.03, "drop_by_link": 0.04, "link_rise": 0.06, "current_filters": 0.07,
-    "current_filters, of b": 0.07, "device_sag": 0.03,
+    "current_filters, of b": 0.07, "device_sag": 0.03, "sampling_instant": 0.05,
 }  # fmt: skip
 """Relative error of a column; larger where half a sample of 0.1 ms counts: of a lag of 1 ms, and as the current of this
 drive is smooth between the samples, where that of a real drive has the ripple of the held voltage; and where coarse
@@ -154,12 +154,27 @@ def unequal(x):
     return Drive(resistive=lambda _, i_s: R * i_s + x * above_and_below_mean(i_s))
 
 
-def late_compensation(x):
-    """Compensate one shape of the drop by phase currents that are late, as much as gives x V times lateness."""
+def sampled_early(x):
+    """Let R and the drop be those of currents that move by -L^-1 e in x seconds."""
+    step = 1e-2
+
+    def at_edges(t, i_s):
+        i, e = current(t), voltage(t) / turning(t)
+        by_d, by_q = ((flux(i + unit * step) - flux(i - unit * step)) / (2 * step) for unit in (1, 1j))
+        jacobian = np.moveaxis(np.array([[by_d.real, by_q.real], [by_d.imag, by_q.imag]]), (0, 1), (-2, -1))
+        d, q = np.linalg.solve(jacobian, np.stack([e.real, e.imag], axis=-1)[..., None])[..., 0].T
+        later = i_s - x * turning(t) * (d + 1j * q)
+        return R * later + drop_of(later) - drop_of(i_s)
+
+    return Drive(resistive=at_edges)
+
+
+def late_compensation(x, shares=(0, 0, 0, 0, 0, 0, 1, 0, 0, 0)):
+    """Compensate shapes of the drop by phase currents that are late, as much as gives x V times lateness."""
     late = 1.5 * PERIOD
 
     def of_shapes(i_s):
-        return frames.space_vector(MODEL.shapes(frames.phases(i_s))[:, :, 6])
+        return frames.space_vector(MODEL.shapes(frames.phases(i_s)) @ np.array(shares, np.float64))
 
     def left(t, i_s):
         shape, before = of_shapes(i_s), of_shapes(plain_current(t - late))
@@ -233,6 +248,8 @@ CASES = {
     "current_latency": (0, lambda x: Drive(measured=lambda t: plain_current(t - x)), 2e-5),
     "angle_latency": (0, lambda x: Drive(angle_error=lambda t: np.full_like(t, -x * SPEED)), 2e-5),
     "late_compensation": (0, late_compensation, 1e-5),
+    "late_shape": (3, lambda x: late_compensation(x, (0, 0, 0, 0, 0, 0, -1, 1, 0, 0)), 1e-5),
+    "sampling_instant": (0, sampled_early, 1e-6),
     "flux_lag": (0, lambda x: Drive(psi=lambda t: plain_flux(t) - x * turning(t) * by_time(dq_flux, t)), 2e-5),
     **{f"flux_lag_{1e3 * lag:g}ms": (0, lambda x, lag=lag: lagging(x, lag), 0.01) for lag in LAGS},
     "flux_lag_4ms, of psi_d more than of psi_q": (1, lambda x: lagging(x, 4e-3, np.conj), 0.01),

@@ -68,7 +68,8 @@ def test_a_window_holds_the_sums_between_its_ends(samples):
         lines = balanced[a:b] + fine * np.diff(balanced[a : b + 1], axis=0)
         expected = period * np.trapezoid(SHAPES(lines), dx=1 / 400, axis=0).sum(axis=0).T
         np.testing.assert_allclose(windows.shape[n], expected, rtol=1e-3, atol=1e-7)
-        for effect, x in enumerate((1j * i_s, i_s.conj(), 1j * i_s.conj(), np.ones_like(i_s), np.full_like(i_s, 1j))):
+        one, turn = np.ones_like(i_s), np.exp(1j * samples.angle)
+        for effect, x in enumerate((1j * i_s, i_s.conj(), 1j * i_s.conj(), one, 1j * one, turn, 1j * turn)):
             step = 1e-4
             moved = [
                 SHAPES.coarse.integrals(frames.phases(i_s + sign * step * x)[a : b + 1], period) for sign in (1, -1)

@@ -32,7 +32,9 @@ from drive_id.core.full.effects.timing import (
     FluxLag,
     LateCompensation,
     Latency,
+    LateShape,
     LongFluxLag,
+    SamplingInstant,
 )
 from drive_id.core.full.integrals import LAGS
 
@@ -46,6 +48,8 @@ CATALOGUE: dict[str, DriveEffect] = {
         Latency("angle_latency"),
         AngleTracking("angle_tracking"),
         LateCompensation("late_compensation"),
+        LateShape("late_shape"),
+        SamplingInstant("sampling_instant"),
         FluxLag("flux_lag"),
         *(LongFluxLag(f"flux_lag_{1e3 * lag:g}ms", lag) for lag in LAGS),
         CopperHeating("copper_heating"),

@@ -117,7 +117,9 @@ class EffectColumns:
         ends, i_dq, through = self._ends(windows), _as_complex(windows.i_dq), self._jacobian(windows)
         psi, by_angle = self._flux(i_dq, windows.angle)
         image, unit = windows.current.conj(), windows.duration.astype(np.complex128)
-        read = np.stack([1j * windows.current, image, 1j * image, unit, 1j * unit])
+        half = 0.5 * (windows.turned[:, 1] - windows.turned[:, 0])
+        turning = unit * ends.turn[:, 0] * np.exp(1j * half) * np.sinc(half / np.pi)
+        read = np.stack([1j * windows.current, image, 1j * image, unit, 1j * unit, turning, 1j * turning])
         heat, drop = windows.heat / max(self.heat, 1e-12), self.model.coarse_drop(self.estimate)
         return Linearized(
             **vars(ends),
@@ -129,7 +131,7 @@ class EffectColumns:
             + windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, drop),
             rectified=windows.drop_scale[:, None] * np.einsum("nlp,l->np", windows.rectified[:, :-1], drop),
             drops=windows.drop_scale[:, None] * np.einsum("nsp,sp->np", windows.shape, self._drops),
-            shapes=self.model.shapes.coarse,
+            shapes=self.model.shapes,
             heat=heat,
             warmth=[heat] if self.winding is None else self.winding.courses(windows),
             link=self.link,

@@ -92,16 +92,21 @@ class Linearized(Ends):
     tilt: ComplexArray  # (N, 2), change of the stator's flux by an error of the angle, Wb
     through: Callable[[ComplexArray], ComplexArray]  # f'(i) x of x (N, 2)
     mean_flux: Callable[[ComplexArray], ComplexArray]  # f(i), averaged over the rotor position
-    dropped: FloatArray  # (K, N), voltage in which each error of the current sensors is read, Vs
+    dropped: FloatArray  # (K, N), voltage in which each error of the currents is read, Vs
     rectified: FloatArray  # (N, 3), integral of the magnitude of the drop of each phase, Vs
     drops: FloatArray  # (N, 3), integral of the drop of each phase, Vs
-    shapes: Callable[[FloatArray], FloatArray]  # coarse shapes (..., S) of the drop at phase currents (...), A
+    shapes: Callable[[FloatArray], FloatArray]  # shapes (..., S) of the drop at phase currents (...), A
     heat: FloatArray  # (N,), relative to the largest within a recording
     warmth: list[FloatArray]  # (N,), rise of the winding's temperature, likewise, see ``WindingHeat.courses``
     link: float  # mean DC-link voltage, V; NaN where it is not known
     ripple: float  # Hz; 0 without
     filter: float  # time constant of the currents' filter, s; 0 without
     delay: float  # of the voltages, samples
+
+    def through_inverse(self, x: ComplexArray) -> ComplexArray:
+        """Return f'(i)^-1 x of x (N, 2)."""
+        d, q = (self.through(np.full_like(x, unit)) for unit in (1, 1j))
+        return np.asarray(((x.conj() * q).imag + 1j * (d.conj() * x).imag) / (d.conj() * q).imag)
 
     @cached_property
     def drop(self) -> ComplexArray:

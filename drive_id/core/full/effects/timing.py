@@ -20,6 +20,8 @@ _LATENESS = 1.5
 """Of the currents by which firmware compensates, sample periods: it takes those of the sample before, and holds."""
 _MOST_TURNED = 0.25
 """Angle, rad, by which a late angle or current may turn the flux."""
+_OFF_MIDDLE = 0.25
+"""Most time between sampling and the middle of the PWM period, periods: further off, legs switch."""
 _DAMPED = 1.7
 """Twice the damping ratio of a tracking loop: 1.4 to 2 are usual."""
 _LARGEST_LAG = 0.2
@@ -128,13 +130,54 @@ class LateCompensation(DriveEffect):
     at_rest, positive = True, True
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        windows, ago = at.windows, _LATENESS / 2 * at.windows.period[:, None]
-        shapes = at.shapes(frames.phases(at.turn * (at.currents - ago * at.rate)))  # (N, 2, 3, S)
-        *others, widest = (frames.space_vector(shapes[..., k]) for k in range(self.width))
-        return [windows.drop_scale * between(drop) for drop in (widest, *(other - widest for other in others))]
+        *others, widest = _compensations(at)[: 2 * self.width : 2]
+        return [widest, *(other - widest for other in others)]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield found.entry("late_compensation", found.value[0], found.sigma[0], "Wb")
+
+
+@dataclass(frozen=True)
+class LateShape(DriveEffect):
+    """That compensation has another curve than coarse shapes hold: the shapes between them, less the widest of those.
+
+    A flux and the fundamental of late compensation look alike, and only the curve ties that to its harmonics: where the
+    data ask for another one, such as a wide ramp, the standard errors of the flux hold what it leaves open.
+    """
+
+    width, beside = 4, "late_compensation"
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        shapes = _compensations(at)[: 2 * self.width]
+        return [shape - shapes[-2] for shape in shapes[1::2]]
+
+    def report(self, _found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield from ()
+
+
+def _compensations(at: Linearized) -> list[ComplexArray]:
+    """Return ``[h(i)_s]`` (N,) at the ends, of the late currents, for each shape h of the drop."""
+    windows, ago = at.windows, _LATENESS / 2 * at.windows.period[:, None]
+    shapes = at.shapes(frames.phases(at.turn * (at.currents - ago * at.rate)))  # (N, 2, 3, S)
+    return [windows.drop_scale * between(frames.space_vector(each)) for each in np.moveaxis(shapes, -1, 0)]
+
+
+@dataclass(frozen=True)
+class SamplingInstant(DriveEffect):
+    """Currents are sampled before the middle of the PWM period: their mean is less by ``L^-1 e`` times that time.
+
+    While all legs are alike, the stator's flux stands still: the map has no part in this, but R and the drop have.
+    """
+
+    def plausible(self, value: FloatArray, _turn: float, period: float) -> bool:  # noqa: D102
+        return bool(abs(value[0]) < _OFF_MIDDLE * period)
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        moved = at.through_inverse(at.induced).mean(axis=1)
+        return [-(moved.real * at.dropped[5] + moved.imag * at.dropped[6])]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield from _late(self.name, found)
 
 
 @dataclass(frozen=True)

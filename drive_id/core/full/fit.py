@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from drive_id.common.temperature import COPPER
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
@@ -42,6 +43,9 @@ the errors of clean drives up to sixtyfold.
 _BEND = 0.1
 """Of the drop at i_max, the standard deviation of the wide shapes of real inverters: R changes by as much as the data
 leave of that. The logarithm of on-state drops bends by 5 %; what random drives needed was 14 and 21 %."""
+_MAGNETS, _MAGNET_LOSS = "magnet_heating", 1.2e-3
+"""Effect of warm magnets, and the share of their flux that they lose, 1/K: 0.11 to 0.12 % of NdFeB, 0.2 % of ferrites,
+which are warmed less."""
 _PASSIVE_POINTS = 41
 """Per axis, at which passivity is tested: two to three for each usual cell."""
 _STIFFER, _ROUNDS = 10.0, 7
@@ -276,9 +280,10 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
     by_rivals = _with_rivals(solver, uncorrected, selection)
     undecided = _with_undecided(solver, uncorrected, selection)
     by_curve = _among_curves(solver, solution, batches, crossed)
-    open_effects = np.column_stack([undecided, *left_out.values(), *by_rivals.values()])
+    by_magnets = _by_magnets(solver, solution, batches)
+    open_effects = np.column_stack([undecided, by_magnets, *left_out.values(), *by_rivals.values()])
     columns = [(name, np.column_stack([each])) for name, each in (*within, ("open", open_effects), ("curve", by_curve))]
-    by_open = {DELAY: by_delay, selection.search.found.undecided: undecided} | left_out
+    by_open = {DELAY: by_delay, selection.search.found.undecided: undecided, _MAGNETS: by_magnets} | left_out
     return _Judged(
         uncorrected=uncorrected, solution=solution, changes=np.hstack([each for _, each in columns]),
         sources=tuple(name for name, each in columns for _ in each.T), energy=energy, times=times,
@@ -371,6 +376,26 @@ def _with_undecided(solver: Solver, solution: FullSolution, selection: Selection
     return change
 
 
+def _by_magnets(solver: Solver, solution: FullSolution, batches: FloatArray) -> FloatArray:
+    """Return the change (size,) of the estimate by magnets as warm as the winding, as far as the data leave it open.
+
+    A trajectory that visits each current once, such as a grid in rows, cannot tell the magnets' heat from the map.
+    """
+    model, spec = solver.model, solution.spec
+    if "copper_heating" not in spec.effects or _MAGNETS in spec.effects or not spec.reciprocal:
+        return np.zeros(model.size)
+    rise = abs(float(solution.estimate[model.effect("copper_heating").start])) / max(solution.resistance, TINY) / COPPER
+    magnet = float(np.linalg.norm(model.flux.rows(np.zeros((1, 2))).dot(solution.estimate[model.map])))
+    change, left = solver.by_column(solution, model.effect(_MAGNETS).start)
+    expected, certain = _MAGNET_LOSS * rise * magnet, _grown(solution, batches) * solution.residual_rms / np.sqrt(left)
+    return np.asarray(change * expected * certain / max(np.hypot(expected, certain), TINY))
+
+
+def _grown(solution: FullSolution, batches: FloatArray) -> float:
+    """Return by what factor the errors of R by batches (size, B) exceed those by white residuals, at least 1."""
+    return max(1.0, float(sigma(batches)[RESISTANCE]) / max(float(np.sqrt(solution.variance_of_resistance)), TINY))
+
+
 def _with_rivals(solver: Solver, solution: FullSolution, selection: Selection) -> dict[str, FloatArray]:
     """Return the changes (size,) of the estimate with a rival in place of each effect that has any.
 
@@ -403,7 +428,7 @@ def _among_curves(solver: Solver, solution: FullSolution, batches: FloatArray, c
     counts as far as the data, not what is known of inverters, decide on its wide shapes.
     """
     spec, out = solution.spec, np.zeros_like(solution.estimate)
-    grown = max(1.0, sigma(batches)[RESISTANCE] / max(np.sqrt(solution.variance_of_resistance), TINY))
+    grown = _grown(solution, batches)
     for wide in set(range(WIDE + 1)) - {spec.wide}:
         other = solver.solve(replace(spec, wide=wide))
         change = other.estimate - solution.estimate

@@ -231,8 +231,13 @@ class Solver:
 
     def by_remainder(self, solution: FullSolution) -> FloatArray:
         """Return the change (size,) of the estimate by the remainder, see :mod:`drive_id.core.full.effects`."""
-        remainder = np.eye(self._others, 1, -self.model.effect("remainder").start)
-        return np.asarray(self.model.expansion @ solution.variant.back(solution.variant.half(remainder)))[:, 0]
+        return self.by_column(solution, self.model.effect("remainder").start)[0]
+
+    def by_column(self, solution: FullSolution, column: int) -> tuple[FloatArray, float]:
+        """Return the change (size,) of the estimate by one of a column that is left out, and what it leaves, (Vs)^2."""
+        half = solution.variant.half(np.eye(self._others, 1, -column))
+        change = np.asarray(self.model.expansion @ solution.variant.back(half))[:, 0]
+        return change, max(float(self.total[column, column] - np.sum(half**2)), TINY)
 
     def left_out(
         self,

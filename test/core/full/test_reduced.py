@@ -55,6 +55,18 @@ def test_a_set_is_the_fit_with_its_effects(fitted, names, delay):
     assert found.squares(delay) == pytest.approx(penalized, rel=1e-4)
 
 
+def test_a_column_that_is_left_out_changes_the_estimate_by_what_the_fit_with_it_takes(fitted):
+    _, solver, plain = fitted
+    without, found = solver.solve(plain), solver.solve(replace(plain, effects=("iron_loss",)))
+    column = solver.model.effect("iron_loss").start
+    change, left = solver.by_column(without, column)
+    value, expected = found.estimate[column], without.estimate - found.estimate
+    expected[column] = 0.0
+    np.testing.assert_allclose(value * change, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
+    squares = [solver.reduced(plain).subset(frozenset(names)).squares(0.0) for names in ((), ("iron_loss",))]
+    assert value**2 * left == pytest.approx(squares[0] - squares[1], rel=1e-3)
+
+
 def test_segments_left_out_add_up_to_folds_left_out(fitted):
     sums, solver, plain = fitted
     errors = held_out(sums, solver, plain, [(frozenset(names), delay) for names, delay in SETS])

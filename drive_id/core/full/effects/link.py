@@ -170,7 +170,7 @@ class LinkRise(DriveEffect):
         windows, voltage = at.windows, at.windows.voltage
         ends = 1.5 * (windows.held * (at.currents * at.turn).conj()).real
         half = np.maximum(0.5 * np.abs(ends[:, 1] - ends[:, 0]), TINY)
-        return [-voltage * np.clip(0.5 - 0.5 * at.power / half, 0.0, 1.0)]  # the share of a line that is negative
+        return [-voltage * (0.5 - 0.5 * np.clip(at.power, -half, half) / half)]  # the share of a line that is negative
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield found.entry("link_rise", found.value[0], found.sigma[0], "1")

@@ -26,7 +26,6 @@ from drive_id.core.full.linearized import (
     misfits,
     remains,
     settled,
-    settled_over,
     with_hidden_ripple,
 )
 from drive_id.core.full.model import PENALTIES, FullModel, ModelSpec
@@ -450,7 +449,7 @@ def _among_rivals(state: EffectSearch, search: _Search, chosen: _Set, of_few: _R
     }
     errors = {each: one.solver.left_out(one.solution.spec)[:, 0] for each, one in states.items()}
     best = min(errors, key=lambda each: float(errors[each][predictable(errors[each])].mean()))
-    return (state if best is chosen else settled_over(rules.sums, rules.variant(best), states[best])), best
+    return (state if best is chosen else rules.linearized(states[best], best)), best
 
 
 def _unconfirmed(state: EffectSearch, search: _Search, chosen: _Set) -> str | None:

@@ -95,12 +95,6 @@ def settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, left: flo
     return moved if _GROWN * moved.solution.residual_rms < start.solution.residual_rms else start
 
 
-def settled_over(sums: WindowSums, spec: ModelSpec, state: EffectSearch) -> EffectSearch:
-    """Solve with the columns that settled over other windows: about the solution itself, the residuals may grow."""
-    found = settled(sums, spec, state.found.columns, state.solution.residual_sigma)
-    return replace(found, found=replace(found.found, delay=state.found.delay))
-
-
 def _iterated(
     sums: WindowSums, spec: ModelSpec, columns: EffectColumns, left: float = np.inf, *, move: bool = False
 ) -> EffectSearch:

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
+from drive_id.core.checks.recognition import is_count
 from drive_id.core.signals.equal_spacing import equal_spacing
 from drive_id.core.signals.restarts import Restarts
 from drive_id.files.logs.column_log import seconds_columns
 from drive_id.files.messages.signal_sources import STAMP_UNITS
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import suggests, time_unit
+from drive_id.inspection.names import quoted, stated_unit, suggests
+from drive_id.inspection.scales import is_whole
 from drive_id.types import FloatArray, IntArray
 
 FEWEST = 200
@@ -32,6 +36,13 @@ _MOST_PER_STAMP = 0.02
 """Share of all rows that may share one printed time: fewer digits tell no period."""
 _DATES = (1e18, 3e18)
 """Nanoseconds since 1970 from 2001 to 2065, as dates are read: no other quantity of a log is as large."""
+_DAYS = (30_000.0, 80_000.0)
+"""Days since 1900 of serial dates from 1982 to 2119, as spreadsheets write them."""
+_DAY = "d"
+_TICKS = STAMP_UNITS | {_DAY: 8.64e13}
+"""ns in the units of a time."""
+_BITS = (16, 24, 32)
+"""Widths of timers whose count starts again."""
 _MEANINGS = ("angle", "speed", "current", "voltage", "reference")
 
 
@@ -42,7 +53,7 @@ def timed(table: Table, contents: Contents) -> Table:
     found = time_column(table)
     if found is None:
         return table
-    return stamped(table, found[0], STAMP_UNITS[found[1]])
+    return stamped(table, found.name, found.tick)
 
 
 def stamped(table: Table, name: str, tick: float) -> Table:
@@ -74,10 +85,10 @@ def together(tables: list[Table]) -> list[Table]:
 def _began(table: Table) -> int | None:
     """Return the time, ns, of the first row by the column that gives the stamps; None without one."""
     found = time_column(table) if table.stamp_source in table.columns else None
-    if found is None or found[0] != table.stamp_source:
+    if found is None or found.name != table.stamp_source:
         return None
-    both = seconds_columns(found[0], table.columns)
-    first = float(table.columns[both[0] if both else found[0]][0]) * STAMP_UNITS[found[1]]
+    both = seconds_columns(found.name, table.columns)
+    first = float(table.columns[both[0] if both else found.name][0]) * found.tick
     return round(first) + (round(float(table.columns[both[1]][0])) if both else 0)
 
 
@@ -95,30 +106,67 @@ def regular_stamps(table: Table) -> IntArray:
     return equal_spacing(table.stamp, np.ones(len(table.stamp), np.int64), name=table.name).stamp
 
 
-def time_column(table: Table) -> tuple[str, str] | None:
-    """Return the column that looks like the time, and its unit; None if none does."""
+def stamp_unit(table: Table, name: str) -> str:
+    """Return the unit of a time that the log or its name states; empty if neither does."""
+    unit = "".join(stated_unit(name, table.unit(name)))
+    return unit if unit in STAMP_UNITS else ""
+
+
+class TimeColumn(NamedTuple):
+    """The column of the time."""
+
+    name: str
+    unit: str = "s"
+    stated: bool = True  # the log or the values show the unit: whole numbers may be ticks of any timer
+
+    @property
+    def tick(self) -> float:
+        """Factor to ns."""
+        return _TICKS[self.unit]
+
+    def settings(self, x: FloatArray) -> list[str]:
+        """Return what a signals file says of it, by its values (N,)."""
+        steps = np.diff(x)
+        back, usual = float(steps.min()), float(np.median(steps))
+        bits = [f"stamp_bits: {k}" for k in _BITS if back < 0 and abs(back + 2**k - usual) < usual / 2]
+        unit = f"stamp_scale: {self.tick * 1e-9:g}" if self.unit == _DAY else f"stamp_unit: {self.unit}"
+        return [f"stamp: {quoted(self.name)}", *bits, unit]
+
+
+def time_column(table: Table) -> TimeColumn | None:
+    """Return the column that looks like the time; None if none does.
+
+    A number of the row is no time.
+    """
     named = [(name, x) for name, x in table.columns.items() if suggests(name, "time")]
     for name, x in named:
         if len(x) < FEWEST or not np.isfinite(x).all():
             continue
         if seconds_columns(name, table.columns):
-            return name, "s"
-        period = _mean_step(x)
-        said = table.unit(name) if table.unit(name) in STAMP_UNITS else time_unit(name)
-        for unit in [said] if said else ["s", "ms", "us", "ns"]:
-            fits = float(np.ptp(x)) * STAMP_UNITS[unit] < _LONGEST
-            if fits and PERIODS[0] <= period * STAMP_UNITS[unit] * 1e-9 <= PERIODS[1]:
-                return name, unit
+            return TimeColumn(name)
+        period, said, whole = _mean_step(x), stamp_unit(table, name), is_whole(x)
+        days = bool(not said and _DAYS[0] < x.min() and x.max() < _DAYS[1])
+        units = [said] if said else [*["s"] * (not whole), *sorted(STAMP_UNITS, key=partial(_unlikely, period))]
+        for unit in [*units, *[_DAY] * days]:
+            fits = float(np.ptp(x)) * _TICKS[unit] < _LONGEST
+            counted = not said and is_count(x)
+            if fits and not counted and PERIODS[0] <= period * _TICKS[unit] * 1e-9 <= PERIODS[1]:
+                return TimeColumn(name, unit, bool(said) or not whole or _DATES[0] < x.min())
     for name, x in table.columns.items():
         dates = len(x) >= FEWEST and _DATES[0] < np.min(x) and np.max(x) < _DATES[1]
         if dates and PERIODS[0] <= _mean_step(x) * 1e-9 <= PERIODS[1]:
-            return name, "ns"  # whatever the name
+            return TimeColumn(name, "ns")  # whatever the name
     name, x = next(iter(table.columns.items()), ("", np.zeros(0)))
     steps = np.diff(x)
     regular = len(x) >= FEWEST and np.isfinite(x).all() and steps.min() > 0 and np.ptp(steps) < _REGULAR * steps.mean()
     if regular and PERIODS[0] <= steps.mean() <= PERIODS[1] and not any(suggests(name, what) for what in _MEANINGS):
-        return name, "s"  # the first column, without a known name
+        return TimeColumn(name)  # the first column, without a known name
     return None
+
+
+def _unlikely(step: float, unit: str) -> float:
+    """Return how far a step in this unit is from the usual period, by their ratio."""
+    return abs(float(np.log(max(step, 1e-300) * STAMP_UNITS[unit] * 1e-9 / GUESSED_PERIOD)))
 
 
 def _mean_step(x: FloatArray) -> float:

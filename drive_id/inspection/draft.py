@@ -15,11 +15,11 @@ from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signal_sources import SPEED_UNITS
 from drive_id.inspection.choice import Choice, blank_columns, choose
-from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, regular_stamps, time_column
+from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, TimeColumn, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
-from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link
-from drive_id.inspection.scales import full_scale, is_whole, zero_reading
+from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link, unit_factor
+from drive_id.inspection.scales import full_scale, is_whole, may_be_half, zero_reading
 from drive_id.inspection.static_draft import is_slow, static_draft
 from drive_id.types import FloatArray
 
@@ -50,6 +50,8 @@ _RESOLVERS = {"resolver", "res", "rdc", "rslv"}
 """Words of a sensor that may have several pole pairs of its own."""
 _RPM = {"rpm", "min", "umin", "n", "drehzahl"}
 """Words of a speed in rpm: of six times as many pole pairs, it would be in degrees per second."""
+_POWER_INVARIANT = np.sqrt(2 / 3)
+"""Amplitude of phase quantities by that of power-invariant components."""
 _GAP = 1.5
 """Median steps of the stamps, from which on samples are missing between."""
 
@@ -112,9 +114,16 @@ class _DraftText:
         body = [*self._currents(), "", *self._voltages(), "", *self._rotor(), *self._reference(), *self._optional()]
         if self._choice.currents.table.stamp_source == INDEX:
             self._unsure.append(
-                "The log has no time column: set sample_period in every section to the time between two rows (the "
+                "No column shows the time of a row: set sample_period in every section to the time between rows (the "
                 f"draft assumes {GUESSED_PERIOD:g} s); speed and flux linkages depend on it."
             )
+        times = [time_column(table) for table in self._tables if table.stamp_source in table.columns]
+        for time in times:
+            if time is not None and not time.stated:
+                self._unsure.append(
+                    f"{time.name} holds whole numbers without a unit, taken for {time.unit}: flux linkages are "
+                    "proportional to it."
+                )
         if blank := blank_columns(self._contents):
             self._unsure.append(f"The log holds {blank}.")
         left = self.unexplained
@@ -134,16 +143,20 @@ class _DraftText:
         if table.stamp_source == INDEX:
             found += ["stamp: index", f"sample_period: {GUESSED_PERIOD:g}"]
         elif table.stamp_source not in ("", "own"):
-            _, unit = time_column(table) or ("", "s")
-            found += [f"stamp: {quoted(table.stamp_source)}", f"stamp_unit: {unit}"]
+            time = time_column(table) or TimeColumn(table.stamp_source)
+            found += time.settings(table.columns[time.name])
         return found
 
     def _time(self, table: Table, lines: list[str]) -> list[str]:
         """Return the lines that give the place and time of a table's samples, before other ``lines``."""
         found = [f"  {setting}" for setting in self._source(table)]
         if table.stamp_source == INDEX:
-            found[-1] += "         # EDIT: s; the log has no time column"
+            found[-1] += "         # EDIT: s; no column shows the time of a row"
             return [*found, *lines]
+        time = time_column(table) if table.stamp_source in table.columns else None
+        guessed = time is not None and not time.stated
+        if guessed:
+            found[-1] += f"{' ' * 15}# EDIT: by whole numbers without a unit; ticks of a timer need stamp_scale, s"
         if table.stamp_source == "log_time":
             found[-1] += "                 # the messages have no header"
         period, jitter = table.period, table.jitter
@@ -156,7 +169,7 @@ class _DraftText:
             found.append(f"  equally_spaced: true            # the stamps jitter by {jitter * 1e6:.3g} us rms")
             if table.block > 1:
                 found.append(f"  sample_period: {_nice(period)}")
-        elif period is not None:
+        elif period is not None and not guessed:
             steps = np.diff(table.stamp)
             usual = float(np.mean(steps[np.abs(steps) < _GAP * np.median(steps)])) * 1e-9  # dates are whole 256 ns here
             found.append(f"  sample_period: {_nice(usual if abs(usual / period - 1) > 1e-3 else period)}")
@@ -166,13 +179,12 @@ class _DraftText:
         i = self._choice.currents
         lines = [f"  fields: {i.group.fields(i.signs)}", *_frame(i)]
         zero, largest = zero_reading(i), float(np.abs(i.values).max())
-        factor, said = i.unit_factor, ""
+        factor, open_ = i.unit_factor or 1.0, _open(i.values, i.unit_factor, "A", i.group.frame)
         if zero.any():
-            said = f"A per count: these are raw readings of an A/D converter, {_numbers(zero)} without current"
-        elif factor == 1.0 and largest > _LARGEST_CURRENT:
-            factor, said = 0.001, f"taken as mA, for they reach {largest:.3g}"
-        elif factor == 1.0 and is_whole(i):
-            said = "A per count: these are whole numbers, without a unit"
+            open_ = [f"A per count: these are raw readings of an A/D converter, {_numbers(zero)} without current"]
+        elif i.unit_factor is None and largest > _LARGEST_CURRENT:
+            factor = 0.001
+            open_ = [f"taken as mA, for they reach {largest:.3g}", *open_[is_whole(i.values) :]]
         sign = self._choice.reading.voltage_sign
         scale = factor * sign * np.array(i.signs or (1,) * len(i.group.names))
         if i.signs:
@@ -184,12 +196,9 @@ class _DraftText:
         if len(zero) == 2 and i.group.missing != 2 and i.group.frame == "abc":
             scale = np.insert(scale, i.group.missing, factor * sign)
             offset = np.insert(offset, i.group.missing, -offset.sum())
-        if np.any(scale != 1.0) or said:
-            lines.append(f"  scale: {_numbers(scale)}{f'            # EDIT: {said}' if said else ''}")
+        lines += self._scale("currents", _numbers(scale), open_)
         if zero.any():
             lines.append(f"  offset: {_numbers(offset)}       # EDIT: A; minus that reading times scale")
-        if said:
-            self._unsure.append(f"The scale of the currents is a guess ({said}): R and map depend on it.")
         return ["currents:", *self._time(i.table, lines)]
 
     def _voltages(self) -> list[str]:
@@ -205,14 +214,15 @@ class _DraftText:
                 self._unsure.append(
                     "Currents and voltages have opposite signs: currents must be positive into the machine."
                 )
-        if u.group.frame not in {group.frame for group in name_groups(names)}:
+        if u.group.frame == "line_to_line" and u.group.frame not in {group.frame for group in name_groups(names)}:
             self._unsure.append(f"{', '.join(names)} explain far more as voltages between phases, ab, bc and ca.")
         lines = [f"  fields: {replace(u.group, names=names).fields()}", *_frame(u)]
         full = full_scale(u)
         if full:
             lines.append(self._duty_scale(u, full))
-        elif (factor := u.unit_factor) != 1.0:
-            lines.append(f"  scale: {factor:g}")
+        else:
+            open_ = _open(u.values, u.unit_factor, "V", u.group.frame)
+            lines += self._scale("voltages", f"{u.unit_factor or 1.0:g}", open_)
         if not suggests(u.label, "voltage"):
             self._unsure.append(
                 f"{', '.join(u.group.names)} were taken for the voltages by their values, not by their names."
@@ -235,10 +245,12 @@ class _DraftText:
         """Return the line that scales duty cycles of this range to volts."""
         known = {1.0: "0 to 1", 2.0: "-1 to 1", 100.0: "0 to 100 %", 200.0: "-100 to 100 %"}
         range_ = known.get(full, f"0 to {full:g}")
-        if full == 2.0:
+        open_ = _open(u.values, 1.0, "V", u.group.frame)
+        if may_be_half(u, full):
+            open_.append("twice that for voltages over the DC-link voltage")
             self._unsure.append(
-                "The duty cycles lie around zero and were taken to reach from -1 to 1: if they are voltages over "
-                "the DC-link voltage, -0.5 to 0.5, double the scale. The data cannot tell; R and flux follow it."
+                f"The duty cycles lie around zero and were taken to reach from {range_}: if they are voltages over "
+                "the DC-link voltage, half of that, double the scale. The data cannot tell; R and flux follow it."
             )
         if self._link is None:
             self._unsure.append(
@@ -247,13 +259,26 @@ class _DraftText:
                 f"{_ASSUMED_LINK:g} V); R and flux are proportional to it."
             )
             wanted = "U_dc" if full == 1.0 else f"U_dc/{full:g}"
-            return f"  scale: {_ASSUMED_LINK / full:g}  # EDIT: {wanted}, V, for duty cycles from {range_}"
+            said = "; ".join([f"{wanted}, V, for duty cycles from {range_}", *open_])
+            return f"  scale: {_ASSUMED_LINK / full:g}  # EDIT: {said}"
         table, name = self._link
         if not is_named_link(table, name):
             self._unsure.append(f"{name} was taken for the DC-link voltage by its values, not by its name.")
+        factor, of_link = _link_scale(table, name)
         source = [*self._source(table), f"field: {quoted(name)}"]
-        source += [] if full == 1.0 else [f"scale: {1 / full:g}"]
-        return f"  scale: {{{', '.join(source)}}}   # duty cycles from {range_}"
+        source += [] if factor == full else [f"scale: {factor / full:g}"]
+        open_ = [*of_link, *open_]
+        said = "; ".join([f"{'EDIT: for ' if open_ else ''}duty cycles from {range_}", *open_])
+        return f"  scale: {{{', '.join(source)}}}   # {said}"
+
+    def _scale(
+        self, what: str, factor: str, open_: Sequence[str], follows: str = "R and map depend on it"
+    ) -> list[str]:
+        """Return the line of a scale, with the mark of a guess where something is ``open_`` about it."""
+        if open_:
+            self._unsure += [f"The scale of the {what} is a guess ({said}): {follows}." for said in open_]
+            return [f"  scale: {factor}            # EDIT: {'; '.join(open_)}"]
+        return [] if factor == "1" else [f"  scale: {factor}"]
 
     def _rotor(self) -> list[str]:
         choice, angle, reading = self._choice, self._choice.angle, self._choice.reading
@@ -405,7 +430,25 @@ class _DraftText:
             return []
         table, name = self._link
         time = [f"  {line}" for line in self._time(table, []) if "equally" not in line and "first_sample" not in line]
-        return ["", "optional:", "  dc_link_voltage:", *time, f"    field: {quoted(name)}"]
+        factor, open_ = _link_scale(table, name)
+        follows = "R and map depend on it" if full_scale(self._choice.voltages) else "torque over speed depends on it"
+        scale = [f"  {line}" for line in self._scale(name, f"{factor:g}", open_, follows)]
+        return ["", "optional:", "  dc_link_voltage:", *time, f"    field: {quoted(name)}", *scale]
+
+
+def _open(x: FloatArray, factor: float | None, unit: str, frame: str = "abc") -> list[str]:
+    """Return what values leave open about the factor to their unit, of which the log states ``factor``, or None."""
+    whole = factor is None and is_whole(x)
+    found = [f"{unit} per count: these are whole numbers, without a unit"] if whole else []
+    if frame in ("alpha_beta", "dq"):
+        found.append(f"times {_POWER_INVARIANT:.4f} if these components are power-invariant, not amplitude-invariant")
+    return found
+
+
+def _link_scale(table: Table, name: str) -> tuple[float, list[str]]:
+    """Return the factor from the column of the DC link to V, and what is open about it."""
+    x, factor = table.columns[name], unit_factor(table, (name,), "V")
+    return factor or 1.0, _open(x, factor, "V") if np.ptp(x) > 0 else []  # a constant is a setting, in V
 
 
 def _frame(found: PhaseGroup) -> list[str]:

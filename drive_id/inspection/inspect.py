@@ -26,6 +26,7 @@ from drive_id.errors import (
     MissingTopicError,
 )
 from drive_id.files.logs.log_kind import log_kind
+from drive_id.files.messages.message_reader import STAMP_LIMIT
 from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.files.messages.signals_file import SignalMap, parse_signals, read_signals
 from drive_id.files.read.extraction import DividedError, UnusualError
@@ -235,7 +236,11 @@ def _stamped(table: Table, signals: SignalMap) -> Table:
         return table
     for source in signals.sources().values():
         values = table.columns.get(source.stamp)
-        if values is not None and np.isfinite(values).all() and np.abs(values * source.tick).max(initial=0.0) < 2.0**61:
+        if (
+            values is not None
+            and np.isfinite(values).all()
+            and np.abs(values * source.tick).max(initial=0.0) < STAMP_LIMIT
+        ):
             return stamped(table, source.stamp, source.tick)
     return table
 

@@ -21,12 +21,17 @@ _WORDS = {
     "dc": ("dc", "udc", "vdc", "ubus", "vbus", "bus", "link", "dclink", "zk", "uzk", "battery", "supply"),
     "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds", "sec", "secs", "today", "elapsed"),
 }  # fmt: skip
-_TIME_UNIT = re.compile(r"(?:[\[(_ ])(ns|us|µs|ms|s)[\])]?(?: \(\d+\))?$|^(ns|us|µs|ms)_")
-_UNIT = re.compile(r"[\[(] ?([mukµ]?)[av] ?[\])]$", re.IGNORECASE), re.compile(r"(?:^|[_ ])([mukµ])[AV]$")
-_FACTORS = {"m": 1e-3, "u": 1e-6, "µ": 1e-6, "k": 1e3}
+_BASE = r"([nuµmk]?)(A|V|s|%|rad|deg|°|rev|rpm|min-1|1/min|U/min|rad/s|Hz|N ?m|°C|C|K|W)"
+_UNITS_IN_NAMES = (
+    re.compile(rf"[\[({{</] *{_BASE} *[\])}}>]?(?: \(\d+\))?$", re.IGNORECASE),  # I1 [mA], I1/mA
+    re.compile(rf"(?:^|[_ ]){_BASE}(?: \(\d+\))?$"),  # I1_mA, I1 in mA; or the unit alone, as a log gives it
+    re.compile(r"^([nuµm])(s)_"),  # ms_today
+)
+FACTORS = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
+"""Factor to the base of a unit by its prefix."""
 _LABVIEW_TIME = "x_value"
 _YAML_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
-_UNITS = {"current": ("[a]", "(a)", "[ma]", "(ma)"), "voltage": ("[v]", "(v)")}
+_UNITS = {"current": "A", "voltage": "V"}
 
 
 @dataclass(frozen=True)
@@ -57,22 +62,23 @@ def words(name: str) -> set[str]:
 def suggests(name: str, meaning: str) -> bool:
     """Whether a name suggests ``current``, ``voltage``, ``reference``, ``angle``, ``speed``, ``dc``, ``time``."""
     lower = name.lower().strip()
-    unit = any(lower.endswith(end) for end in _UNITS.get(meaning, ()))
+    marked = _UNITS_IN_NAMES[0].search(name.strip())
+    unit = marked is not None and marked[2].upper() == _UNITS.get(meaning)
     own = words(name) | ({"time"} if lower == _LABVIEW_TIME else set())
     long = any(word.startswith(stem) for stem in _WORDS[meaning] if len(stem) > 3 for word in own)
     return unit or long or bool(own & set(_WORDS[meaning]))
 
 
-def time_unit(name: str) -> str:
-    """Return the unit of time at the end of a name, as in ``time [ms]`` or ``t_us``; empty if it has none."""
-    said = _TIME_UNIT.search(name.lower())
-    return (said.group(1) or said.group(2)).replace("µ", "u") if said else ""
+def stated_unit(name: str, given: str = "") -> tuple[str, str]:
+    """Return prefix and base of the unit that the log gives, or that a name holds: ``I1 [mA]``, ``I1/mA``, ``u_kV``.
 
-
-def unit_factor(name: str, unit: str = "") -> float:
-    """Return the factor to A or V by the unit that the log gives, or the end of a name: ``I1 [mA]``, ``u_kV``."""
-    said = next((found for pattern in _UNIT if (found := pattern.search(unit or name.strip()))), None)
-    return _FACTORS.get(said.group(1).lower(), 1.0) if said else 1.0
+    Both are empty if none is stated. A phase may pass for a unit, as in ``u_V``: other phases tell.
+    """
+    said = next((found for pattern in _UNITS_IN_NAMES if (found := pattern.search(given or name.strip()))), None)
+    if said is None:
+        return "", ""
+    base = said[2].upper() if said[2] in ("a", "v") else said[2].lower() if said[2] == "S" else said[2]
+    return said[1].lower().replace("µ", "u"), base
 
 
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
@@ -170,12 +176,9 @@ def _components(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
     for name in names:
         for one, other, frame in _PAIRS:
             for match in re.finditer(one, name.lower()):
-                capital = name[match.start()].isupper()
-                second = (
-                    name[: match.start()]
-                    + (other.upper() if capital and len(other) == 1 else other)
-                    + name[match.end() :]
-                )
+                own = name[match.start() : match.end()]
+                alike = str.upper if own.isupper() else str.capitalize if own[0].isupper() else str.lower
+                second = name[: match.start()] + alike(other) + name[match.end() :]
                 if second in known and second != name:
                     yield NameGroup((name, second), frame, f"{name[: match.start()]} {name[match.end() :]}")
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from drive_id.core.checks.recognition import AngleLike
 from drive_id.inspection.contents import Table
-from drive_id.inspection.names import NameGroup, suggests, unit_factor
+from drive_id.inspection.names import FACTORS, NameGroup, stated_unit, suggests
 from drive_id.types import FloatArray
 
 _BY_COLUMN = 2.0
@@ -44,9 +44,9 @@ class PhaseGroup:
         return f"{self.table.name} {self.group.stem}"
 
     @property
-    def unit_factor(self) -> float:
-        """Factor to A or V."""
-        return unit_factor(self.group.names[0], self.table.unit(self.group.names[0]))
+    def unit_factor(self) -> float | None:
+        """Factor to A or V by the unit that all columns state; None if they state none."""
+        return unit_factor(self.table, self.group.names, "AV") or None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +57,12 @@ class AngleColumn:
     name: str
     like: AngleLike
     values: FloatArray
+
+
+def unit_factor(table: Table, names: Sequence[str], bases: str) -> float | None:
+    """Return the factor to one of the ``bases`` by the unit that all names state; None for none, 0 for another base."""
+    prefix, base = (stated := {stated_unit(name, table.unit(name)) for name in names}).pop()
+    return None if stated or not base else FACTORS[prefix] * (base in bases)
 
 
 def _hints(column: str, table: str, meaning: str) -> float:
@@ -112,7 +118,8 @@ def is_named_link(table: Table, name: str) -> bool:
 
 
 def _link_points(table: Table, name: str) -> float:
-    x = table.columns[name]
+    factor = unit_factor(table, (name,), "V")
+    x = table.columns[name] * (1.0 if factor is None else factor)
     if len(x) < 3 or not np.isfinite(x).all() or not (x.mean() > _LEAST_LINK and x.std() < _STEADY * x.mean()):
         return 0.0
     points = _LINK_NAMED * _hints(name, table.name, "dc")

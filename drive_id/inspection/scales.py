@@ -22,6 +22,8 @@ _FEWEST_COUNTS = 200
 """Counts of a timer that are no percent."""
 _NAMES = {"duty", "pwm", "dutycycle", "mod", "modulation"}
 _VOLTS = {"u", "v", "volt", "voltage", "spannung"}
+_HALF = 2 / 3
+"""Largest voltage of a phase by the DC link, that of six steps: duty cycles around zero up to it may be such shares."""
 _UNIT = 0.02  # below zero, up to which duty cycles reach from 0 to 1
 
 
@@ -35,13 +37,13 @@ def zero_reading(i: PhaseGroup) -> FloatArray:
     if i.group.frame != "abc" or np.any(size <= _OFF_ZERO * np.ptp(i.values, axis=0)):
         return np.zeros(len(means))
     half = 2.0 ** np.rint(np.log2(size.mean()))
-    near = is_whole(i) and np.abs(size / half - 1).max() < _NEAR_HALF
+    near = is_whole(i.values) and np.abs(size / half - 1).max() < _NEAR_HALF
     return np.full(len(means), half * np.sign(means[0])) if near else means
 
 
-def is_whole(i: PhaseGroup) -> bool:
-    """Tell whether all values are whole numbers, as counts are, and amperes hardly ever."""
-    return bool(np.all(i.values == np.rint(i.values)))
+def is_whole(x: FloatArray) -> bool:
+    """Tell whether all values are whole numbers, as counts are, and amperes, volts or seconds hardly ever."""
+    return bool(np.all(x == np.rint(x)))
 
 
 def full_scale(u: PhaseGroup) -> float:
@@ -53,7 +55,7 @@ def full_scale(u: PhaseGroup) -> float:
     Voltages of phases have no mean in common, and those to the negative rail half of the DC-link voltage.
     """
     low, high = float(u.values.min()), float(u.values.max())
-    volts = u.unit_factor != 1.0  # mV or kV
+    volts = u.unit_factor is not None  # mV or kV
     if max(-low, high) <= _LARGEST and not volts:
         return 1.0 if low >= -_UNIT else 2.0
     if u.group.frame != "abc" or volts:
@@ -65,9 +67,14 @@ def full_scale(u: PhaseGroup) -> float:
         within = low >= -_SHARE * full and high <= (1 + _SHARE) * full
         if within and (around_half or (named and full == _PERCENT and low >= 0)):
             return full
-    counts = bool(np.all(u.values == np.rint(u.values))) and low >= 0 and high > _FEWEST_COUNTS
+    counts = is_whole(u.values) and low >= 0 and high > _FEWEST_COUNTS
     if counts and float(np.ptp(means)) < _MIDDLE * 2 * float(means.mean()):
         return float(2 * np.rint(means.mean()))
     if named and max(-low, high) <= _LARGEST * _PERCENT:
         return 2 * _PERCENT
     return 0.0
+
+
+def may_be_half(u: PhaseGroup, full: float) -> bool:
+    """Tell whether duty cycles around zero, of this range, may be voltages by the DC link, of half the range."""
+    return full in (2.0, 2 * _PERCENT) and float(np.abs(u.values).max()) <= _HALF * full / 2

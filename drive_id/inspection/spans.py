@@ -10,9 +10,8 @@ import numpy as np
 from drive_id.errors import DriveIdError
 from drive_id.files.logs.column_log import OWN_TIME, Column, ColumnLog
 from drive_id.files.logs.open_log import open_log
-from drive_id.files.messages.signal_sources import STAMP_UNITS
 from drive_id.files.read.info import BagInfo
-from drive_id.inspection.clock import time_column
+from drive_id.inspection.clock import TimeColumn, time_column
 from drive_id.inspection.contents import Table, read_contents
 
 
@@ -40,16 +39,14 @@ def with_spans(info: BagInfo) -> BagInfo:
 
 def _span(log: ColumnLog, table: Table) -> tuple[int, float]:
     """Return the rows of a group of columns, and the time between the first and the last; 0 where none is known."""
-    name, unit = (
-        (OWN_TIME, "ns") if table.stamp_source == "own" else time_column(table) or (next(iter(table.columns), ""), "")
-    )
-    column, rows = Column(table.name, name), 0
+    found = TimeColumn(OWN_TIME, "ns") if table.stamp_source == "own" else time_column(table)
+    column, rows = Column(table.name, found.name if found else next(iter(table.columns), "")), 0
     ends: list[float] = []
     for part in log.parts([column]):
         values = part.values[column]
         rows += len(values)
-        if unit:
+        if found:
             known = values[np.isfinite(values)]
             ends += [float(x) for x in (*known[:1], *known[-1:])]
             del ends[1:-1]
-    return rows, (ends[-1] - ends[0] if ends else 0.0) * STAMP_UNITS[unit or "s"] * 1e-9
+    return rows, (ends[-1] - ends[0] if ends else 0.0) * (found.tick if found else 0.0) * 1e-9

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drive_id.files.messages.signal_sources import STAMP_UNITS
-from drive_id.inspection.clock import timed
+from drive_id.inspection.clock import stamp_unit, timed
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import listed, name_groups, quoted, suggests, time_unit, unit_factor, words
+from drive_id.inspection.names import listed, name_groups, quoted, suggests, words
+from drive_id.inspection.points import unit_factor
 
 _RPM = {"rpm", "n", "min", "drehzahl", "speed"}
 """Words of a speed that is likely one of the shaft, in rpm."""
@@ -53,13 +53,13 @@ def _lines(
         where = [f"group: {quoted(table.name)}"]
     time = next((name for name, x in table.columns.items() if suggests(name, "time") and _is_time(x)), "")
     if time and not len(table.stamp):
-        said = table.unit(time) if table.unit(time) in STAMP_UNITS else time_unit(time)
+        said = stamp_unit(table, time)
         where += [f"stamp: {quoted(time)}", f"stamp_unit: {said or 's'}"]
         if not said:
             unsure.append(f"The unit of {time} was taken to be s.")
     elif not len(table.stamp):
         unsure.append("The log has no time column, so each row is taken for an operating point.")
-    amperes, volts = (unit_factor(names[0], table.unit(names[0])) for names in (currents, voltages))
+    amperes, volts = (unit_factor(table, names, "AV") or 1.0 for names in (currents, voltages))
     shaft = bool(words(speed) & _RPM) and not words(speed) & _ELECTRICAL
     unit = "rpm" if words(speed) & {*_RPM, "erpm"} else "rad/s"
     unsure.append(

@@ -403,12 +403,12 @@ def test_an_angle_ahead_that_no_data_show_is_a_guess(ahead, tmp_path, samples):
     path = write_parquet(tmp_path / "log.parquet", table)
     draft = check(path).draft
     warnings = read_recording(path, parse_signals(draft.text, "the draft")).warnings
-    (found,) = [message for message in warnings if message.code == "guessed_setting"]
-    assert found.values["setting"] == "angle_advance: 0.0"
+    scale, found = [message for message in warnings if message.code == "guessed_setting"]
+    assert (scale.values["setting"], found.values["setting"]) == ("scale: 1", "angle_advance: 0.0")
     assert draft.text.splitlines()[found.values["line"] - 1].strip().startswith("angle_advance: 0.0  # EDIT")
     assert "R and the fluxes" in str(found)
     assert "angle_offset: 0 " in draft.text
-    told = re.sub("angle_advance: 0.0  # EDIT.*", f"angle_advance: {ahead}", draft.text)
+    told = re.sub("angle_advance: 0.0  # EDIT.*", f"angle_advance: {ahead}", draft.text.replace("scale: 1  ", "#"))
     read = read_recording(path, parse_signals(told, "told"))
     assert not read.warnings
     away = frames.space_vector(read.samples.u_abc) / frames.space_vector(samples.u_abc)
@@ -689,7 +689,7 @@ def test_drafts_for_line_to_line_voltages_milliamperes_and_no_time(tmp_path, sam
     table |= {name: 1e3 * table[name] for name in ("ia", "ib", "ic")}
     path = write_parquet(tmp_path / "log.parquet", table)
     draft = check(path).draft
-    assert sum("no time column" in text or "taken as mA" in text for text in draft.unsure) == 2
+    assert sum("No column shows the time" in text or "taken as mA" in text for text in draft.unsure) == 2
     read = read_recording(path, parse_signals(draft.text, "draft")).samples
     np.testing.assert_allclose(read.i_abc, samples.i_abc, rtol=1e-12)
     np.testing.assert_allclose(read.u_abc, np.column_stack([u_a, u_b, u_c]), atol=1e-9)

@@ -482,6 +482,7 @@ UNITS = {
     "brackets": ("i{} [mA]", 1e3, "u{} [kV]", 1e-3),
     "parentheses": ("i{} (kA)", 1e-3, "u{} (mV)", 1e3),
     "ends of names": ("i{}_mA", 1e3, "u{}_mV", 1e3),
+    "slashes": ("I{}/mA", 1e3, "U{} / kV", 1e-3),
     "the base": ("i{} [A]", 1.0, "u{}_V", 1.0),
 }
 
@@ -496,6 +497,75 @@ def test_units_in_the_names_of_columns_are_used(kind, tmp_path, samples, columns
     found, draft, _ = drafted(tool_logs.csv(tmp_path / "a.csv", renamed))
     assert_same(found, samples)
     assert "EDIT" not in draft.text  # kV are no duty cycles
+
+
+TIMES = {  # of each row, by its number, what of it is a guess, and the period that the draft takes by 0.1 ms
+    "ticks of 100 ns": (lambda k: 1000 * k, "stamp_unit: us", 10.0),
+    "ticks of a timer of 32 bits": (lambda k: (8400 * k + 2**32 - 8_400_000) % 2**32, "stamp_unit: ns", 0.084),
+    "us without a unit": (lambda k: 50.0 * k, "stamp_unit: us", 0.5),
+    "numbers of rows": (lambda k: k, "sample_period: 0.0001", 1.0),
+    "days since 1900": (lambda k: 46_000.4 + k / 864e6, "", 1.0),
+    "seconds since 1904": (lambda k: 3.87e9 + 1e-4 * k, "", 1.0),
+    "ms without a unit": (lambda k: 0.1 * k, "", 1.0),
+}
+
+
+@pytest.mark.parametrize("kind", TIMES)
+def test_a_time_of_which_nothing_tells_the_unit_is_a_guess(kind, tmp_path, columns):
+    """Flux linkages were ten times too large without a mark, and dates of two clocks were refused."""
+    made, setting, period = TIMES[kind]
+    table = columns | {"t": made(np.arange(N))}
+    path = tool_logs.csv(tmp_path / "a.csv", table, digits={"t": "%.17g"})
+    signals = parse_signals(check(path).draft.text, "the draft")
+    found = read_recording(path, signals)
+    assert found.samples.sample_period == pytest.approx(period * 1e-4, rel=1e-3)
+    assert len(found.samples.run_starts) == 1
+    assert [message.values["setting"] for message in found.warnings] == [setting] * bool(setting)
+
+
+LINKS = {"mV by name": ("Vbus_mV", 1e3, 1e-3), "kV by name": ("Udc [kV]", 1e-3, 1e3), "tenths": ("udc", 10.0, None),
+         "readings": ("vbus_raw", 51.0, None)}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", LINKS)
+def test_the_unit_of_a_dc_link_is_that_of_its_name_or_a_guess(kind, tmp_path, columns):
+    name, factor, scale = LINKS[kind]
+    u_dc = 64 + np.sin(0.01 * np.arange(N))
+    duties = {f"d{phase}": columns[f"u{phase}"] / u_dc + 0.5 for phase in "abc"}
+    rest = {key: x for key, x in columns.items() if key[0] != "u"}
+    link = {name: np.rint(factor * u_dc) if factor > 1 else factor * u_dc}
+    _, draft, warnings = drafted(tool_logs.csv(tmp_path / "a.csv", rest | duties | link))
+    signals = parse_signals(draft.text, "the draft")
+    assert (signals.voltages.scale.scale, signals.optional["dc_link_voltage"].scale) == (scale or 1.0, scale or 1.0)
+    assert warnings == ["guessed_setting"] * (0 if scale else 2)  # where it scales, and where it is a signal
+
+
+def scaled(c, factor, *, offset=0.0, whole=False):
+    u = {f"u{phase}": factor * c[f"u{phase}"] + offset for phase in "abc"}
+    return c | {name: np.rint(x) for name, x in u.items()} if whole else c | u
+
+
+def components(c):
+    z = sum(c[f"u{phase}"] * np.exp(2j * np.pi / 3 * k) for k, phase in enumerate("abc")) * 2 / 3
+    return {name: x for name, x in c.items() if name[0] != "u"} | {"U_ALPHA": z.real, "U_BETA": z.imag}
+
+
+OPEN = {  # columns, and what of the scale of the voltages is a guess
+    "tenths of volts": (lambda c: scaled(c, 10, whole=True), "V per count"),
+    "voltages by the DC link": (lambda c: scaled(c, 1 / 80), "twice that for voltages over the DC-link voltage"),
+    "duty cycles beyond any of these": (lambda c: scaled(c, 1 / 36), ""),
+    "components": (components, "times 0.8165 if these components are power-invariant"),
+}
+
+
+@pytest.mark.parametrize("kind", OPEN)
+def test_a_scale_of_voltages_that_no_data_show_is_a_guess(kind, tmp_path, columns):
+    made, said = OPEN[kind]
+    table = made(columns) | {"Vbus": 80.5 + np.sin(0.01 * np.arange(N))}
+    _, draft, warnings = drafted(tool_logs.csv(tmp_path / "a.csv", table))
+    marked = [line for line in draft.text.splitlines() if "EDIT" in line]
+    assert len(marked) == len(warnings) == bool(said)
+    assert all("scale" in line and said in line for line in marked)
 
 
 @pytest.mark.parametrize("order", ["iaibicuaubuc", "uaubuciaibic", "iauaibubicuc", "uaiaubibucic"])

@@ -118,7 +118,10 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     period = _float(next(iter(step[1:]), "")) if 0 in blank else None
     unnamed = tuple(k for k in blank if not rows[header][k].strip() or (k == 0 and period))
     units = [_unit(cell) for cell in rows[header + 1]] if len(rows[header + 1]) == width else []
-    units = units if header + 1 < first else []
+    units = units if header + 1 < first else [""] * width
+    dated = [sum(bool(_NUMBER.fullmatch(row[k])) for row in body) * 2 < sum(bool(row[k].strip()) for row in body)
+             for k in range(width)]  # fmt: skip
+    units = ["ns" if date else unit for unit, date in zip(units, dated, strict=True)]  # as which dates are read
     return replace(found, names=_unique(rows[header]), blank=unnamed, period=period, units=tuple(units))
 
 

@@ -25,8 +25,8 @@ DECODE_ERRORS = (
 """What a :data:`Reader` raises when a message does not fit its type."""
 _LARGEST_MESSAGE = 1 << 24
 """Bytes of a message that is read through its definition, which takes a Python object for each element."""
-STAMP_LIMIT = 2**61
-"""Largest stamp, ns (73 years): differences of larger ones could overflow."""
+STAMP_LIMIT = 2**62
+"""Largest stamp, ns (146 years, for clocks from 1900 or 1904): differences of larger ones could overflow."""
 
 
 class MessageSamples(NamedTuple):

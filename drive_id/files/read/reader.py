@@ -44,8 +44,9 @@ _BEAT = 0.2
 """Seconds after which the progress is told again while a part is awaited: a bar that moves less often seems stuck."""
 
 _FOLLOWS = {
+    "stamp_unit": "flux linkages and inductances are proportional to it",
     "sample_period": "flux linkages and inductances are proportional to it",
-    "scale": "R and all fluxes, or all currents, are proportional to it",
+    "scale": "R and all fluxes, all currents, or the DC link, are proportional to it",
     "offset": "it goes with the scale, and the currents are off by its error",
     "pole_pairs": "the fluxes are inversely proportional to it",
     "angle_offset": "the map's axes turn by its error, and are exchanged or reversed by 90 degrees or more",

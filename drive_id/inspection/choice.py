@@ -14,6 +14,7 @@ from drive_id.core.checks.recognition import angle_like, is_count, likely_counts
 from drive_id.core.numerics.largest import USUAL_QUANTILE
 from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
+from drive_id.files.messages.signal_sources import ANGLE_UNITS
 from drive_id.inspection.clock import FEWEST, PERIODS, numbered, regular_stamps, timed, together
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import NameGroup, name_groups, suggests, words
@@ -21,6 +22,8 @@ from drive_id.inspection.points import AngleColumn, PhaseGroup, angle_points, cu
 from drive_id.inspection.scales import full_scale, zero_reading
 from drive_id.types import FloatArray, Samples
 
+TURNS = {unit: 2 * np.pi / factor for unit, factor in ANGLE_UNITS.items()}
+"""A turn in the units of an angle."""
 _SPAN = 1 << 13
 """Samples of an excerpt by which a reading is judged: some tenths of a second."""
 _SPANS = 5
@@ -88,6 +91,8 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     blank = f" ({said})" if (said := blank_columns(contents)) else ""
     kinds = (("three balanced currents or voltages", groups), ("a rotor angle", angles))
     missing = [what for what, found in kinds if not found]
+    if missing == ["a rotor angle"] and (why := _no_angle(tables)):
+        raise ConfigurationError(f"{contents.path}: {why}")
     if missing:
         raise ConfigurationError(
             f"Nothing in {contents.path} looks like {' or '.join(missing)}{blank}: write the signals file "
@@ -104,6 +109,20 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
             "config/signals_example_stranger.yaml or signals_example_columns.yaml."
         )
     return tables, _between_phases(choice, tables)
+
+
+def _no_angle(tables: Sequence[Table]) -> str:
+    """Return why a column that is named as an angle is none; empty if there is none."""
+    columns = {name: x for table in tables for name, x in table.columns.items() if not suggests(name, "time")}
+    pair = [name for word in ("sin", "cos") for name in columns if word in words(name)]
+    if len(pair) > 1:
+        return f"{pair[0]} and {pair[-1]} are those of an angle: add a column with the angle, atan2(sin, cos), in rad."
+    named = [name for name in columns if suggests(name, "angle") and not suggests(name, "speed")]
+    return "".join(
+        f"{name} ({columns[name].min():.5g} to {columns[name].max():.5g}) moves as no angle in rad, degrees, turns or "
+        "counts does: log it as sampled, not interpolated or filtered, or write its angle_scale into a signals file."
+        for name in named[:1]
+    )
 
 
 def _between_phases(choice: Choice, tables: Sequence[Table]) -> Choice:
@@ -207,7 +226,7 @@ def _groups(table: Table) -> Iterator[PhaseGroup]:
         if not np.isfinite(values).all():
             continue
         balanced = group.frame not in ("abc", "line_to_line") or _balanced(values)
-        signs = () if balanced or group.frame != "abc" or suggests(stem, "voltage") else _one_reversed(values)
+        signs = () if balanced or group.frame != "abc" else _one_reversed(values)
         if balanced or signs:
             yield PhaseGroup(table, replace(group, stem=stem), values, signs)
 
@@ -243,7 +262,8 @@ def _angles(table: Table) -> Iterator[AngleColumn]:
     for name, x in table.columns.items():
         if len(x) != len(table.stamp) or is_count(x) or suggests(name, "time"):
             continue
-        like = angle_like(x, table.stamp)
+        named = suggests(name, "angle") and not suggests(name, "speed")
+        like = angle_like(x, table.stamp, named=named)
         if like is not None and (like.wraps or not words(name) & _ODOMETERS):
             yield AngleColumn(table, name, like, x)
 
@@ -262,7 +282,7 @@ def _chosen(
         (i, u)
         for i in currents
         for u in voltages
-        if not u.signs
+        if not u.signs or suggests(u.label, "voltage")
         if i.table.name != u.table.name or not set(i.group.names) & set(u.group.names)
     ]
     pairs.sort(key=lambda pair: current_points(pair[0]) + voltage_points(pair[1]), reverse=True)
@@ -282,18 +302,22 @@ def _chosen(
 
 def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str] | None) -> Choice | None:
     """Read the angle in the likeliest way, for these currents and voltages."""
-    logged, i = i, replace(i, values=(i.values - zero_reading(i)) * (i.signs or 1))
-    options: list[tuple[float, float | None, tuple[int, ...] | None]] = []
-    if angle.like.turn:
-        options.append((angle.like.turn, None, None))
+    logged, i = (i, u), replace(i, values=(i.values - zero_reading(i)) * (i.signs or 1))
+    u = replace(u, values=u.values * (u.signs or 1))
+    units = TURNS.items() if angle.like.turn and not angle.like.wraps else [(angle.like.unit, angle.like.turn)]
+    options: list[tuple[float, float | None, tuple[int, ...] | None]] = [
+        (turn, None, None) for _, turn in units if turn
+    ]
     if angle.like.unit == "counts":
         options += _by_rotation(u, angle)
     best: Choice | None = None
     for turn, modulus, ratios in options:
         if ratios and best and best.turn == angle.like.turn and best.reading.unexplained < _GOOD:
             break  # it starts again at each turn
+        unit = angle.like.unit if angle.like.wraps else next((one for one, of in units if of == turn), "counts")
+        taken = replace(angle, like=replace(angle.like, unit=unit, turn=turn))
         try:
-            samples = _samples(i, u, replace(angle, like=replace(angle.like, turn=turn)), modulus, dc)
+            samples = _samples(i, u, taken, modulus, dc)
         except DataError:
             continue
         if samples is None:
@@ -302,7 +326,7 @@ def _read(i: PhaseGroup, u: PhaseGroup, angle: AngleColumn, dc: tuple[Table, str
         in_rotor = "dq" in (i.group.frame, u.group.frame)
         found = likely_reading(_runs(samples), largest, (1,) if in_rotor else ratios) if largest > 0 else None
         if found is not None and (best is None or found.unexplained < best.reading.unexplained):
-            best = Choice(logged, u, angle, found, turn, modulus, samples)
+            best = Choice(*logged, taken, found, turn, modulus, samples)
     return best
 
 

@@ -14,7 +14,7 @@ from drive_id.core.checks.recognition import is_count
 from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signal_sources import SPEED_UNITS
-from drive_id.inspection.choice import Choice, blank_columns, choose
+from drive_id.inspection.choice import TURNS, Choice, blank_columns, choose
 from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, TimeColumn, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
@@ -35,6 +35,8 @@ _MOST_POLE_PAIRS = 24
 """Pole pairs that are tried as the ratio of an electrical angle and the speed of a shaft."""
 _SAME_SPEED = 0.004
 """Relative difference of a speed and that of the angle, up to which they are the same."""
+_SAME_TURN = 1e-6
+"""Relative difference up to which an angle starts again at a turn of its unit."""
 _NO_OFFSET = 0.035
 """Estimated offset, rad, that is not told from none."""
 _NO_OFFSET_IN_ROTOR = 0.2
@@ -128,9 +130,13 @@ class _DraftText:
             self._unsure.append(f"The log holds {blank}.")
         left = self.unexplained
         if left > _POOR:
+            in_rotor = "dq" in (self._choice.currents.group.frame, self._choice.voltages.group.frame)
+            swapped = (
+                "or q may lag d (reverse its sign) or be exchanged with it" if in_rotor else "or phases be swapped"
+            )
             self._unsure.append(
                 f"A rough machine model leaves {100 * left:.0f} % of the voltage unexplained by these signals: "
-                "currents, voltages or angle may be other columns, or phases be swapped."
+                f"currents, voltages or angle may be other columns, {swapped}."
             )
         remark = f"A rough machine model explains all but {100 * left:.2g} % of the voltage with it."
         return _draft(self._contents, remark, body, self._unsure)
@@ -187,11 +193,7 @@ class _DraftText:
             open_ = [f"taken as mA, for they reach {largest:.3g}", *open_[is_whole(i.values) :]]
         sign = self._choice.reading.voltage_sign
         scale = factor * sign * np.array(i.signs or (1,) * len(i.group.names))
-        if i.signs:
-            odd = " and ".join(name for name, own in zip(i.group.names, scale, strict=True) if own < 0)
-            self._unsure.append(
-                f"The current sensor of {odd} seems to be reversed, and its sign is changed: compare it."
-            )
+        self._tell_reversed("current sensor", i)
         offset = -zero * scale
         if len(zero) == 2 and i.group.missing != 2 and i.group.frame == "abc":
             scale = np.insert(scale, i.group.missing, factor * sign)
@@ -222,7 +224,10 @@ class _DraftText:
             lines.append(self._duty_scale(u, full))
         else:
             open_ = _open(u.values, u.unit_factor, "V", u.group.frame)
-            lines += self._scale("voltages", f"{u.unit_factor or 1.0:g}", open_)
+            signs = np.array(u.signs or (1,) * len(names))
+            signs = signs[list(reading.voltage_order)] if len(names) == 3 else signs
+            lines += self._scale("voltages", _numbers((u.unit_factor or 1.0) * signs), open_)
+            self._tell_reversed("voltage", u)
         if not suggests(u.label, "voltage"):
             self._unsure.append(
                 f"{', '.join(u.group.names)} were taken for the voltages by their values, not by their names."
@@ -240,6 +245,11 @@ class _DraftText:
         if rate and self._period and abs(rate / self._period - 1) > 2 * _SAME_RATE:
             self._unsure.append("Voltages and currents are recorded at different rates, which a fit refuses.")
         return ["voltages:", *self._time(u.table, lines)]
+
+    def _tell_reversed(self, what: str, found: PhaseGroup) -> None:
+        odd = [name for name, sign in zip(found.group.names, found.signs, strict=False) if sign < 0]
+        if odd:
+            self._unsure.append(f"The {what} of {odd[0]} seems to be reversed, and its sign is changed: compare it.")
 
     def _duty_scale(self, u: PhaseGroup, full: float) -> str:
         """Return the line that scales duty cycles of this range to volts."""
@@ -285,15 +295,18 @@ class _DraftText:
         lines = [f"  angle: {quoted(angle.name)}"]
         unit = angle.like.unit
         turn, pole_pairs, why = choice.turn, abs(reading.ratio[0]), ""
+        if unit == "counts" or pole_pairs != 1:
+            turn, pole_pairs, why = self._turn_of_shaft()
         if unit == "counts":
-            turn, pole_pairs, why = self._counts_of_turn()
             lines += ["  angle_unit: counts", f"  counts_per_turn: {turn:.15g}"]
             if pole_pairs == 1:
                 lines[-1] += "          # of an electrical turn"
             if choice.modulus:
                 lines.append(f"  angle_modulus: {choice.modulus:g}")
-        elif unit != "rad":
-            lines.append(f"  angle_unit: {unit}")
+        else:
+            lines += [] if unit == "rad" else [f"  angle_unit: {unit}"]
+            scale = TURNS[unit] / turn
+            lines += [] if abs(scale - 1) < _SAME_TURN else [f"  angle_scale: {scale:.15g}"]
         if pole_pairs != 1:
             lines += ["  mechanical: true", f"  pole_pairs: {pole_pairs}{why}"]
         if reading.ratio[0] < 0:
@@ -336,25 +349,29 @@ class _DraftText:
             said = f"EDIT: rad; {said}"
         return [f"  angle_offset: {offset:.4g}          # {said}"]
 
-    def _counts_of_turn(self) -> tuple[float, int, str]:
-        """Return the counts of a turn, its pole pairs, and what makes them known; 1 for the electrical turn alone.
+    def _turn_of_shaft(self) -> tuple[float, int, str]:
+        """Return a turn in the unit of the angle, its pole pairs, and what makes them known; 1 for the electrical turn.
 
         A resolver may start again several times per turn of the shaft, and a counter anywhere: without a speed of the
-        shaft, they show only the counts per electrical turn.
+        shaft, they show only the electrical turn.
         """
         choice, angle = self._choice, self._choice.angle
         pole_pairs = abs(choice.reading.ratio[0])
-        of_sensor = angle.like.wraps and pole_pairs > 1 and not (choice.modulus or choice.turn == _COUNTER)
+        counts = angle.like.unit == "counts"
+        of_sensor = (
+            (angle.like.wraps or not counts) and pole_pairs > 1 and not (choice.modulus or choice.turn == _COUNTER)
+        )
         of_sensor = of_sensor and not words(angle.name) & _RESOLVERS
         electrical = choice.turn / pole_pairs
         pairs, unit, _, name, sure = next(self._speeds(electrical), (1, "", 1, "", False))
         if pairs > 1 and sure and suggests(name, "speed"):
             return electrical * pairs, pairs, f"               # by {printable(name)}, in {unit} of the shaft"
         if of_sensor:
-            return choice.turn, pole_pairs, "               # if the count starts again once per turn of the shaft"
+            what = "count" if counts else "angle"
+            return choice.turn, pole_pairs, f"               # if the {what} starts again once per turn of the shaft"
         self._unsure.append(
-            f"The log shows {electrical:.6g} counts per electrical turn, but not the pole pairs: for torque, give them "
-            "to analyze (--pole-pairs), or here with mechanical: true and the counts of a turn of the shaft."
+            f"The log shows {electrical:.6g} {angle.like.unit} per electrical turn, but not the pole pairs: for torque "
+            "give them to analyze (--pole-pairs), or here with mechanical: true and the scale of a turn of the shaft."
         )
         return electrical, 1, ""
 

@@ -285,6 +285,12 @@ def dq_names(s, angle, kind):
     return none | {f"i_{kind[0]}": i[:, 0], f"i_{kind[1]}": i[:, 1], f"u_{kind[0]}": u[:, 0], f"u_{kind[1]}": u[:, 1]}
 
 
+def blank_wraps(s):
+    theta = np.mod(s.angle, 2 * np.pi)
+    theta[np.flatnonzero(np.diff(theta) < -3)[::4]] = np.nan
+    return theta
+
+
 KINDS = {
     "plain": lambda _: {},
     "degrees of the shaft and rpm": degrees_and_rpm,
@@ -300,6 +306,10 @@ KINDS = {
     "a 16-bit count of 4000 per turn": lambda s: {"theta": None, "omega": None, "enc": counts(s, 4000, 65_536)},
     "alpha and beta": lambda s: dq_names(s, np.zeros(len(s)), ("alpha", "beta")),
     "d and q": lambda s: dq_names(s, s.angle, ("d", "q")),
+    "half turns": lambda s: {"theta": np.mod(s.angle / np.pi, 2) - 1},
+    "gradians": lambda s: {"theta": np.mod(s.angle / np.pi, 2) * 200},
+    "turns of the shaft without an end": lambda s: {"theta": 1000 + shaft(s) / (2 * np.pi), "omega": None},
+    "blank angles at wraps": lambda s: {"theta": blank_wraps(s), "omega": None},
     "two currents": lambda _: {"ic": None},
     "swapped voltages": lambda s: {"ub": s.u_abc[:, 2], "uc": s.u_abc[:, 1]},
     "no names": lambda s: (
@@ -322,6 +332,46 @@ def test_drafts_read_what_was_recorded(kind, tmp_path, samples):
 def resolver_of(s, per_turn, turns_per_turn=POLE_PAIRS):
     """Counts of a resolver that starts again so often per turn of the shaft."""
     return counts(s, per_turn * turns_per_turn, per_turn, start=0)
+
+
+@pytest.mark.parametrize("speed", [None, "n_rpm"])
+def test_a_speed_tells_the_pole_pairs_of_a_resolver_in_degrees(speed, tmp_path, samples):
+    """It starts again twice per turn: two pole pairs were drafted for four, and torque was a half."""
+    table = columns(samples, omega=None, theta=np.degrees(np.mod(2 * shaft(samples), 2 * np.pi)))
+    table |= {speed: samples.speed / POLE_PAIRS * 30 / np.pi} if speed else {}
+    path = write_parquet(tmp_path / "log.parquet", table)
+    draft = check(path).draft
+    assert_reads(path, draft, samples)
+    rotor = parse_signals(draft.text, "the draft").resolver
+    assert (rotor.pole_pairs, rotor.angle_scale) == ((POLE_PAIRS, 0.5) if speed else (2, 1.0))
+    assert (f"by {speed}, in rpm" if speed else "if the angle starts again once per turn of the shaft") in draft.text
+
+
+def interpolated(s):
+    k = np.arange(len(s))
+    return np.interp(k, k[::10], np.mod(s.angle, 2 * np.pi)[::10])
+
+
+ODD_ANGLES = {
+    "interpolated across wraps": (lambda s: {"theta": interpolated(s)}, "theta (", "not interpolated"),
+    "sine and cosine": (lambda s: {"theta": None, "sin_th": np.sin(s.angle), "cos_th": np.cos(s.angle)}, "sin_th and",
+                        "atan2(sin, cos)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ODD_ANGLES)
+def test_an_angle_that_is_none_is_named_with_the_way_out(kind, tmp_path, samples):
+    """Nothing looked like a rotor angle, whatever was named so."""
+    made, *said = ODD_ANGLES[kind]
+    (finding,) = check(write_parquet(tmp_path / "log.parquet", columns(samples, omega=None, **made(samples)))).findings
+    assert all(part in finding for part in said)
+    assert len(str(finding).split()) <= 36
+
+
+def test_a_held_angle_is_found_and_told(tmp_path, samples):
+    table = columns(samples, omega=None, theta=np.mod(np.repeat(samples.angle[::10], 10), 2 * np.pi))
+    found = check(write_parquet(tmp_path / "log.parquet", table))
+    assert "held_angle" in {finding.code for finding in found.findings}
 
 
 UNKNOWN = {
@@ -572,7 +622,9 @@ def test_angles_and_counts():
     reversing = 0.03 * np.where(k < 1800, k, 1800 - 0.7 * (k - 1800))
     noise = 1e-3 * np.random.default_rng(0).normal(size=3000)
     assert angle_like(np.mod(reversing + noise, 2 * np.pi) - np.pi).unit == "rad"
-    assert angle_like(np.sin(0.01 * k)) is None
+    assert angle_like(reversing + noise, named=True).unit == "rad"
+    assert angle_like(reversing + noise) is None
+    assert angle_like(np.sin(0.01 * k), named=True) is None
     assert angle_like(np.abs(np.mod(0.03 * k, 2 * np.pi) - np.pi)) is None  # a triangle
     assert angle_like(np.sign(np.sin(0.01 * k)) + noise) is None  # a square wave
     assert angle_like(np.random.default_rng(0).normal(size=3000)) is None
@@ -738,6 +790,17 @@ def test_one_reversed_sensor_of_three_is_drafted_with_its_sign(phase, bits, tmp_
     assert currents.scale == tuple(map(float, factors))
     assert currents.offsets == (tuple(-8192.0 * factors) if bits else (0.0,) * 3)
     assert not [finding for finding in found.findings if finding.kind == "error"]
+
+
+@pytest.mark.parametrize("phase", range(3))
+def test_one_reversed_voltage_of_three_is_drafted_with_its_sign(phase, tmp_path, samples):
+    """The log held no two sets of phase quantities."""
+    factors = np.where(np.arange(3) == phase, -1, 1)
+    u = (samples.u_abc - samples.u_abc.mean(axis=1, keepdims=True)) * factors
+    path = write_parquet(tmp_path / "log.parquet", columns(samples, **dict(zip(("ua", "ub", "uc"), u.T, strict=True))))
+    draft = check(path).draft
+    assert f"The voltage of u{'abc'[phase]} seems to be reversed, and its sign is changed: compare it." in draft.unsure
+    assert_reads(path, draft, samples)
 
 
 @pytest.mark.parametrize("names", [("V1", "V2", "V3"), ("U_u", "U_v", "U_w")])

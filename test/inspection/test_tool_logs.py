@@ -58,6 +58,12 @@ def assert_same(found, samples, period=1e-4, *, missing=0, volts=0.05):
     assert np.abs(np.angle(np.exp(1j * (found.angle - samples.angle[at])))).max() < 0.05
 
 
+def fortran(path, columns):
+    tool_logs.csv(path, columns, digits=dict.fromkeys(columns, "%.9E"))
+    path.write_text(path.read_text().replace("E", "D"))
+    return path
+
+
 UNIT_FACTORS = {"t": 1e3, "i": 1e3, "u": 1e-3}
 """From s, A and V to ms, mA and kV, by the letter of a column."""
 
@@ -73,6 +79,17 @@ TOOLS = {  # writer, sample period, s, and missing samples
     "LabVIEW, decimal commas": (lambda p, c: tool_logs.labview(p / "a.lvm", c), 1e-4, 0),
     "LabVIEW without times": (lambda p, c: tool_logs.labview(p / "a.txt", stretched(c, 5e-5), times=False), 5e-5, 0),
     "LabVIEW, points, another name": (lambda p, c: tool_logs.labview(p / "log", c, comma=False), 1e-4, 0),
+    "LabVIEW without cells of comments": (lambda p, c: tool_logs.labview(p / "a.lvm", c, comments=False), 1e-4, 0),
+    "LabVIEW without these and times": (
+        lambda p, c: tool_logs.labview(p / "a.lvm", c, comments=False, times=False), 1e-4, 0,
+    ),
+    "an oscilloscope, units and labels above": (
+        lambda p, c: tool_logs.csv(
+            p / "a.csv", dict(zip(["TIME", *(f"CH{k}" for k in range(1, 8))], c.values(), strict=True)),
+            head=f"Record Length,6000\nVertical Units,A,A,A,V,V,V,rad\nLabel,{','.join((*PHASES, 'theta'))}\n",
+        ), 1e-4, 0,
+    ),
+    "exponents with D": (lambda p, c: fortran(p / "a.csv", c), 1e-4, 0),
     "PicoScope": (lambda p, c: tool_logs.picoscope(p / "a.csv", c, [*"sAAAVVVV"]), 1e-4, 0),
     "PicoScope in ms at 50 kHz": (
         lambda p, c: tool_logs.picoscope(p / "a.csv", stretched(c, 0.02), ["ms", *"AAAVVVV"]), 2e-5, 0,
@@ -579,6 +596,7 @@ def test_currents_and_voltages_of_one_name_are_told_by_their_values(order, tmp_p
     assert_same(found, samples)
     assert "NOT SURE" in draft.text
     assert "by their values, not by their names" in draft.text
+    assert "between phases" not in draft.text
 
 
 def test_units_in_the_names_of_a_slow_log_are_used(tmp_path):

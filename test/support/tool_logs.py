@@ -30,8 +30,8 @@ def table(
     return text.replace(".", ",") if comma else text
 
 
-def csv(path: Path, columns: Columns, separator: str = ",", **how: object) -> Path:
-    path.write_text(separator.join(columns) + "\n" + table(columns, separator, **how))  # type: ignore[arg-type]
+def csv(path: Path, columns: Columns, separator: str = ",", head: str = "", **how: object) -> Path:
+    path.write_text(head + separator.join(columns) + "\n" + table(columns, separator, **how))  # type: ignore[arg-type]
     return path
 
 
@@ -51,8 +51,10 @@ def unit_row(path: Path, columns: Columns, units: list[str], separator: str, *, 
     return path
 
 
-def labview(path: Path, columns: Columns, *, times: bool = True, comma: bool = True, parts: int = 1) -> Path:
-    """Write a LabVIEW measurement file, with a header of the channels for each of its parts."""
+def labview(
+    path: Path, columns: Columns, *, times: bool = True, comma: bool = True, parts: int = 1, comments: bool = True
+) -> Path:
+    """Write a LabVIEW measurement file, with a header of the channels for each of its parts, with cells of comments."""
     sign = "," if comma else "."
     data = {name: x for name, x in columns.items() if name != "t"}
     count, step = len(data), columns["t"][1] - columns["t"][0]
@@ -70,7 +72,7 @@ def labview(path: Path, columns: Columns, *, times: bool = True, comma: bool = T
         text += "\n".join([*header, "\t".join(["X_Value", *data, "Comment"])]) + "\n"
         times_of = columns["t"][rows] - columns["t"][rows[0]] if times else np.full(len(rows), np.nan)
         body = {"t": times_of, **{name: x[rows] for name, x in data.items()}}
-        text += table(body, "\t", comma=comma).replace("\n", "\t\n")
+        text += table(body, "\t", comma=comma).replace("\n", "\t\n" if comments else "\n")
     path.write_text(text, encoding="latin-1")
     return path
 

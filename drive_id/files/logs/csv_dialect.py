@@ -20,14 +20,14 @@ _DELIMITERS = ("\t", ";", ",", "|", WHITE)
 _HEAD = 1 << 16  # bytes that tell how a table is written
 _LAST = 50
 """Lines from which the number of columns is determined."""
-_NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?|∞)\s*", re.IGNORECASE)
+_NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eEdD][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?|∞)\s*", re.IGNORECASE)
 _UNIT = re.compile(r"[kmun]?[AVs]|%|rad|deg|°|rpm|min-1|1/min|N ?m|°?C|rad/s|Hz")
 _MOSTLY = 0.9  # share of rows with a number, from which on a column holds numbers
 _TWINCAT = "Name"
 """First cell of the names in exports of TwinCAT Scope, which stands above each column of times, too."""
 _TICKS = 1e16  # from which on its times are 100 ns since 1601, not ms
-_STEP = "Delta_X"
-"""First cell of the line of sample periods, s, in LabVIEW measurement files."""
+_STEP, _LABVIEW = "Delta_X", "X_Value"
+"""First cell of the lines of sample periods, s, and of names in LabVIEW measurement files."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,10 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     if first is None or not first:
         return None
     width = len(rows[first])
+    rows = [row[:width] if row[:1] == [_LABVIEW] else row for row in rows]  # whose comments need not have a cell
     above = [k for k in filled if k < first and len(rows[k]) == width and all(cell.strip() for cell in rows[k][1:-1])]
+    while len(above) > 1 and all(_unit(cell) for cell in rows[above[0]][1:]):
+        above = above[1:]  # units above the names
     if not above:
         return None
     between = sum(above[0] <= k < first for k in filled)
@@ -118,7 +121,7 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     period = _float(next(iter(step[1:]), "")) if 0 in blank else None
     unnamed = tuple(k for k in blank if not rows[header][k].strip() or (k == 0 and period))
     units = [_unit(cell) for cell in rows[header + 1]] if len(rows[header + 1]) == width else []
-    units = units if header + 1 < first else [""] * width
+    units = (header + 1 < first and units) or [""] * width
     dated = [sum(bool(_NUMBER.fullmatch(row[k])) for row in body) * 2 < sum(bool(row[k].strip()) for row in body)
              for k in range(width)]  # fmt: skip
     units = ["ns" if date else unit for unit, date in zip(units, dated, strict=True)]  # as which dates are read

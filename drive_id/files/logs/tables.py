@@ -26,6 +26,8 @@ _CLOCK = re.compile(r"\s*\d{1,3}:\d\d(:\d\d)?([.,]\d+)?\s*")
 _DATES = ("ISO8601", "%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S")
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
 """Pandas 3 reads every digit without being asked."""
+_FORTRAN = re.compile(r"^(\s*[-+]?[\d.]+)[dD]([-+]?\d+)")
+"""A number whose exponent is written with D."""
 _FIRST_LINES = 1000
 """Lines of JSON that tell the names."""
 _LONGEST_LIST = 16  # numbers of a list in a line of JSON that are columns of their own
@@ -209,7 +211,7 @@ def _numbers(found: Any, name: str, path: Path, decimal: str) -> NDArray[Any]:
         return np.asarray(found.astype("datetime64[ns]").astype(np.int64))
     found = found.mask(found.astype(str).str.strip() == name)  # its name again, above the next capture
     pointed = found if decimal == "." else found.astype(str).str.replace(decimal, ".")
-    numbers = pd.to_numeric(pointed, errors="coerce")
+    numbers = pd.to_numeric(pointed.replace(_FORTRAN, r"\1E\2", regex=True), errors="coerce")
     if numbers.notna().mean() > 0.5:
         return np.asarray(numbers, np.float64)
     texts = found.dropna().astype(str).str.strip()

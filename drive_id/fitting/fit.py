@@ -20,8 +20,9 @@ from drive_id.core.result.diagnostics import COMPARED
 from drive_id.core.result.identify import identify
 from drive_id.core.signals.pieces import common_truth
 from drive_id.core.steady.operating_data import OperatingData
-from drive_id.errors import ConfigurationError
+from drive_id.errors import ConfigurationError, DataError
 from drive_id.files.messages.signals_file import SignalMap, read_signals
+from drive_id.files.read.reader import guesses
 from drive_id.files.read.several import digests_of
 from drive_id.files.results.folder import check_output, check_recordings, is_result
 from drive_id.files.results.information import check_information_output, write_information
@@ -193,11 +194,16 @@ def fit_bags(
     """Fit bags and information files of one drive, and write the results to a folder, unless ``output`` is None.
 
     ``force`` replaces the result of other recordings and writes into a folder that holds other files. Raises
-    DriveIdError; nothing is written then.
+    DriveIdError; nothing is written then. A refusal for what the samples hold names what a draft guessed about them.
     """
     if output is not None and is_result(output) and not (sources.information or sources.skip_bad or sources.remote):
         check_recordings(output, digests_of(sources.paths), force=force)  # before the work; again when it is written
-    return _saved(partial(_fit_sources, sources, settings, tell), output, force=force, tell=tell)
+    try:
+        return _saved(partial(_fit_sources, sources, settings, tell), output, force=force, tell=tell)
+    except DataError as error:
+        guessed = next(guesses(sources.signals), None) if sources.signals else None
+        error.args = (f"{error} {guessed}" if guessed else str(error),)
+        raise
 
 
 def _fit_sources(sources: Sources, settings: FitSettings, tell: Progress) -> Identification:

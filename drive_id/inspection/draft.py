@@ -275,8 +275,8 @@ class _DraftText:
         if not is_named_link(table, name):
             self._unsure.append(f"{name} was taken for the DC-link voltage by its values, not by its name.")
         factor, of_link = _link_scale(table, name)
-        source = [*self._source(table), f"field: {quoted(name)}"]
-        source += [] if factor == full else [f"scale: {factor / full:g}"]
+        source = [*([] if table is u.table else self._source(table)), f"field: {quoted(name)}"]
+        source += [] if factor == full and not of_link else [f"scale: {factor / full:g}"]
         open_ = [*of_link, *open_]
         said = "; ".join([f"{'EDIT: for ' if open_ else ''}duty cycles from {range_}", *open_])
         return f"  scale: {{{', '.join(source)}}}   # {said}"

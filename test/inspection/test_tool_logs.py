@@ -540,6 +540,19 @@ def test_a_time_of_which_nothing_tells_the_unit_is_a_guess(kind, tmp_path, colum
     assert [message.values["setting"] for message in found.warnings] == [setting] * bool(setting)
 
 
+def test_a_refusal_names_what_is_still_a_guess(tmp_path, columns):
+    """A fit by a wrong guess asked for a longer recording."""
+    path = tool_logs.csv(tmp_path / "a.csv", columns)
+    guess = SIGNALS.replace(
+        "voltages: {fields: [ua, ub, uc]}", "voltages:\n  fields: [ua, ub, uc]\n  scale: 1e-3  # EDIT"
+    )
+    signals = parse_signals("defaults: {stamp: t, stamp_unit: s}\n" + guess, "x")
+    with pytest.raises(
+        DriveIdError, match=r"they are duty cycles.* scale: 1e-3 in line 5 .* is a guess from the draft"
+    ):
+        drive_id.fit(path, signals=signals)
+
+
 LINKS = {"mV by name": ("Vbus_mV", 1e3, 1e-3), "kV by name": ("Udc [kV]", 1e-3, 1e3), "tenths": ("udc", 10.0, None),
          "readings": ("vbus_raw", 51.0, None)}  # fmt: skip
 

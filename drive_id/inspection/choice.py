@@ -226,7 +226,8 @@ def _groups(table: Table) -> Iterator[PhaseGroup]:
         if not np.isfinite(values).all():
             continue
         balanced = group.frame not in ("abc", "line_to_line") or _balanced(values)
-        signs = () if balanced or group.frame != "abc" else _one_reversed(values)
+        two = len(group.names) == 2 and suggests(stem, "voltage")  # which may be those between phases
+        signs = () if balanced or two or group.frame != "abc" else _one_reversed(values)
         if balanced or signs:
             yield PhaseGroup(table, replace(group, stem=stem), values, signs)
 

@@ -19,7 +19,7 @@ from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, TimeColumn,
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link, unit_factor
-from drive_id.inspection.scales import full_scale, is_whole, may_be_half, zero_reading
+from drive_id.inspection.scales import LARGEST_SHARE, full_scale, is_whole, may_be_half, zero_reading
 from drive_id.inspection.static_draft import is_slow, static_draft
 from drive_id.types import FloatArray
 
@@ -191,6 +191,8 @@ class _DraftText:
         elif i.unit_factor is None and largest > _LARGEST_CURRENT:
             factor = 0.001
             open_ = [f"taken as mA, for they reach {largest:.3g}", *open_[is_whole(i.values) :]]
+        elif i.unit_factor is None and largest <= LARGEST_SHARE:
+            open_ = ["1, if these are A, and no shares of a rated current", *open_]
         sign = self._choice.reading.voltage_sign
         scale = factor * sign * np.array(i.signs or (1,) * len(i.group.names))
         self._tell_reversed("current sensor", i)
@@ -449,7 +451,7 @@ class _DraftText:
         time = [f"  {line}" for line in self._time(table, []) if "equally" not in line and "first_sample" not in line]
         factor, open_ = _link_scale(table, name)
         follows = "R and map depend on it" if full_scale(self._choice.voltages) else "torque over speed depends on it"
-        scale = [f"  {line}" for line in self._scale(name, f"{factor:g}", open_, follows)]
+        scale = [f"  {line}" for line in self._scale("DC-link voltage", f"{factor:g}", open_, follows)]
         return ["", "optional:", "  dc_link_voltage:", *time, f"    field: {quoted(name)}", *scale]
 
 

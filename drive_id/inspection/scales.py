@@ -12,8 +12,8 @@ _NEAR_HALF = 0.01
 """Difference of the means from a power of two, by it, up to which that is the zero: half of the converter's range."""
 _OFF_ZERO = 0.25
 """Least mean of each phase by its range: over some turns, currents have none."""
-_LARGEST = 1.17
-"""Largest duty cycle with its zero sequence, 2 / sqrt(3), and a reserve."""
+LARGEST_SHARE = 1.17
+"""Largest duty cycle with its zero sequence, 2 / sqrt(3), and a reserve; currents of this size may be shares, too."""
 _PERCENT, _PERMILLE = 100.0, 1000.0
 _SHARE = 1e-2  # by which duty cycles may exceed their range
 _MIDDLE = 0.03
@@ -56,7 +56,7 @@ def full_scale(u: PhaseGroup) -> float:
     """
     low, high = float(u.values.min()), float(u.values.max())
     volts = u.unit_factor is not None  # mV or kV
-    if max(-low, high) <= _LARGEST and not volts:
+    if max(-low, high) <= LARGEST_SHARE and not volts:
         return 1.0 if low >= -_UNIT else 2.0
     if u.group.frame != "abc" or volts:
         return 0.0
@@ -70,7 +70,7 @@ def full_scale(u: PhaseGroup) -> float:
     counts = is_whole(u.values) and low >= 0 and high > _FEWEST_COUNTS
     if counts and float(np.ptp(means)) < _MIDDLE * 2 * float(means.mean()):
         return float(2 * np.rint(means.mean()))
-    if named and max(-low, high) <= _LARGEST * _PERCENT:
+    if named and max(-low, high) <= LARGEST_SHARE * _PERCENT:
         return 2 * _PERCENT
     return 0.0
 

@@ -672,7 +672,9 @@ SCOPE = "Model,MSO58\nSample Interval,1e-4\nRecord Length,6000\nZero Index,0\nVe
 
 
 @pytest.mark.cases
-@pytest.mark.parametrize("name", ["oscilloscope", "clock", "German date", "UTF-16", "white space", "numbered rows"])
+@pytest.mark.parametrize(
+    "name", ["oscilloscope", "clock", "German date", "a date and a clock", "UTF-16", "white space", "numbered rows"]
+)
 def test_drafts_for_text_as_instruments_write_it(name, tmp_path, samples):
     table = columns(samples.part(0, 6000), id_ref=None, iq_ref=None, omega=None)
     names, own = ",".join(table), ",".join(list(table)[1:])
@@ -683,6 +685,7 @@ def test_drafts_for_text_as_instruments_write_it(name, tmp_path, samples):
             f"Zeit,{own}\n".replace(",", ";") + clocked(table, "%d.%m.%Y %H:%M:%S,%f", ";", ","),
             "utf-8-sig",
         ),
+        "a date and a clock": (f"Date,Time,{own}\n" + clocked(table, "%d.%m.%Y,%H:%M:%S.%f", ",", "."), "utf-8"),
         "UTF-16": (names + "\n" + csv_text(table), "utf-16"),
         "white space": (names.replace(",", "  ") + "\n" + csv_text(table, "  "), "utf-8"),
         "numbered rows": (

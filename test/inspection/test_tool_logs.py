@@ -580,7 +580,11 @@ def components(c):
     return {name: x for name, x in c.items() if name[0] != "u"} | {"U_ALPHA": z.real, "U_BETA": z.imag}
 
 
-OPEN = {  # columns, and what of the scale of the voltages is a guess
+OPEN = {  # columns, and what of the scale of the voltages or currents is a guess
+    "currents by a rated one": (
+        lambda c: c | {f"i{phase}": c[f"i{phase}"] / 300 for phase in "abc"},
+        "no shares of a rated current",
+    ),
     "tenths of volts": (lambda c: scaled(c, 10, whole=True), "V per count"),
     "voltages by the DC link": (lambda c: scaled(c, 1 / 80), "twice that for voltages over the DC-link voltage"),
     "duty cycles beyond any of these": (lambda c: scaled(c, 1 / 36), ""),
@@ -589,7 +593,7 @@ OPEN = {  # columns, and what of the scale of the voltages is a guess
 
 
 @pytest.mark.parametrize("kind", OPEN)
-def test_a_scale_of_voltages_that_no_data_show_is_a_guess(kind, tmp_path, columns):
+def test_a_scale_that_no_data_show_is_a_guess(kind, tmp_path, columns):
     made, said = OPEN[kind]
     table = made(columns) | {"Vbus": 80.5 + np.sin(0.01 * np.arange(N))}
     _, draft, warnings = drafted(tool_logs.csv(tmp_path / "a.csv", table))

@@ -21,6 +21,7 @@ _HEAD = 1 << 16  # bytes that tell how a table is written
 _LAST = 50
 """Lines from which the number of columns is determined."""
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eEdD][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?|∞)\s*", re.IGNORECASE)
+_DATE = re.compile(r"\s*(\d{1,4}[-./]\d{1,2}[-./]\d{2,4}|\d{1,3}:\d\d).*")
 _UNIT = re.compile(r"[kmun]?[AVs]|%|rad|deg|°|rpm|min-1|1/min|N ?m|°?C|rad/s|Hz")
 _MOSTLY = 0.9  # share of rows with a number, from which on a column holds numbers
 _TWINCAT = "Name"
@@ -178,7 +179,7 @@ def _numeric_rows(rows: list[list[str]], width: int) -> list[bool]:
 
 
 def _is_numeric(row: list[str]) -> bool:
-    """Tell whether a row holds numbers, perhaps beside a date and empty cells."""
-    cells = [cell for cell in row if cell.strip()]
+    """Tell whether a row holds numbers, perhaps beside dates, one other text and empty cells."""
+    cells = [cell for cell in row if cell.strip() and not _DATE.fullmatch(cell)]
     numbers = sum(bool(_NUMBER.fullmatch(cell)) for cell in cells)
     return numbers >= max(len(cells) - 1, 1)

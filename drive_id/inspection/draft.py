@@ -19,7 +19,7 @@ from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, TimeColumn,
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link, unit_factor
-from drive_id.inspection.scales import LARGEST_SHARE, full_scale, is_whole, may_be_half, zero_reading
+from drive_id.inspection.scales import LARGEST_SHARE, full_scale, is_whole, may_be_half, open_scale, zero_reading
 from drive_id.inspection.static_draft import is_slow, static_draft
 from drive_id.types import FloatArray
 
@@ -52,8 +52,6 @@ _RESOLVERS = {"resolver", "res", "rdc", "rslv"}
 """Words of a sensor that may have several pole pairs of its own."""
 _RPM = {"rpm", "min", "umin", "n", "drehzahl"}
 """Words of a speed in rpm: of six times as many pole pairs, it would be in degrees per second."""
-_POWER_INVARIANT = np.sqrt(2 / 3)
-"""Amplitude of phase quantities by that of power-invariant components."""
 _GAP = 1.5
 """Median steps of the stamps, from which on samples are missing between."""
 
@@ -185,7 +183,7 @@ class _DraftText:
         i = self._choice.currents
         lines = [f"  fields: {i.group.fields(i.signs)}", *_frame(i)]
         zero, largest = zero_reading(i), float(np.abs(i.values).max())
-        factor, open_ = i.unit_factor or 1.0, _open(i.values, i.unit_factor, "A", i.group.frame)
+        factor, open_ = i.unit_factor or 1.0, open_scale(i.values, i.unit_factor, "A", i.group.frame)
         if zero.any():
             open_ = [f"A per count: these are raw readings of an A/D converter, {_numbers(zero)} without current"]
         elif i.unit_factor is None and largest > _LARGEST_CURRENT:
@@ -225,7 +223,7 @@ class _DraftText:
         if full:
             lines.append(self._duty_scale(u, full))
         else:
-            open_ = _open(u.values, u.unit_factor, "V", u.group.frame)
+            open_ = open_scale(u.values, u.unit_factor, "V", u.group.frame)
             signs = np.array(u.signs or (1,) * len(names))
             signs = signs[list(reading.voltage_order)] if len(names) == 3 else signs
             lines += self._scale("voltages", _numbers((u.unit_factor or 1.0) * signs), open_)
@@ -257,7 +255,7 @@ class _DraftText:
         """Return the line that scales duty cycles of this range to volts."""
         known = {1.0: "0 to 1", 2.0: "-1 to 1", 100.0: "0 to 100 %", 200.0: "-100 to 100 %"}
         range_ = known.get(full, f"0 to {full:g}")
-        open_ = _open(u.values, 1.0, "V", u.group.frame)
+        open_ = open_scale(u.values, 1.0, "V", u.group.frame)
         if may_be_half(u, full):
             open_.append("twice that for voltages over the DC-link voltage")
             self._unsure.append(
@@ -455,19 +453,10 @@ class _DraftText:
         return ["", "optional:", "  dc_link_voltage:", *time, f"    field: {quoted(name)}", *scale]
 
 
-def _open(x: FloatArray, factor: float | None, unit: str, frame: str = "abc") -> list[str]:
-    """Return what values leave open about the factor to their unit, of which the log states ``factor``, or None."""
-    whole = factor is None and is_whole(x)
-    found = [f"{unit} per count: these are whole numbers, without a unit"] if whole else []
-    if frame in ("alpha_beta", "dq"):
-        found.append(f"times {_POWER_INVARIANT:.4f} if these components are power-invariant, not amplitude-invariant")
-    return found
-
-
 def _link_scale(table: Table, name: str) -> tuple[float, list[str]]:
     """Return the factor from the column of the DC link to V, and what is open about it."""
     x, factor = table.columns[name], unit_factor(table, (name,), "V")
-    return factor or 1.0, _open(x, factor, "V") if np.ptp(x) > 0 else []  # a constant is a setting, in V
+    return factor or 1.0, open_scale(x, factor, "V") if np.ptp(x) > 0 else []  # a constant is a setting, in V
 
 
 def _frame(found: PhaseGroup) -> list[str]:

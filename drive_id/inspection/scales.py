@@ -24,6 +24,8 @@ _NAMES = {"duty", "pwm", "dutycycle", "mod", "modulation"}
 _VOLTS = {"u", "v", "volt", "voltage", "spannung"}
 _HALF = 2 / 3
 """Largest voltage of a phase by the DC link, that of six steps: duty cycles around zero up to it may be such shares."""
+_POWER_INVARIANT = np.sqrt(2 / 3)
+"""Amplitude of phase quantities by that of power-invariant components."""
 _UNIT = 0.02  # below zero, up to which duty cycles reach from 0 to 1
 
 
@@ -78,3 +80,12 @@ def full_scale(u: PhaseGroup) -> float:
 def may_be_half(u: PhaseGroup, full: float) -> bool:
     """Tell whether duty cycles around zero, of this range, may be voltages by the DC link, of half the range."""
     return full in (2.0, 2 * _PERCENT) and float(np.abs(u.values).max()) <= _HALF * full / 2
+
+
+def open_scale(x: FloatArray, factor: float | None, unit: str, frame: str = "abc") -> list[str]:
+    """Return what values leave open about the factor to their unit, of which the log states ``factor``, or None."""
+    whole = factor is None and is_whole(x)
+    found = [f"{unit} per count: these are whole numbers, without a unit"] if whole else []
+    if frame in ("alpha_beta", "dq"):
+        found.append(f"times {_POWER_INVARIANT:.4f} if these components are power-invariant, not amplitude-invariant")
+    return found

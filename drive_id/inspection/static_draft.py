@@ -10,6 +10,7 @@ from drive_id.inspection.clock import stamp_unit, timed
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import listed, name_groups, quoted, suggests, words
 from drive_id.inspection.points import unit_factor
+from drive_id.inspection.scales import open_scale
 
 _RPM = {"rpm", "n", "min", "drehzahl", "speed"}
 """Words of a speed that is likely one of the shaft, in rpm."""
@@ -59,7 +60,6 @@ def _lines(
             unsure.append(f"The unit of {time} was taken to be s.")
     elif not len(table.stamp):
         unsure.append("The log has no time column, so each row is taken for an operating point.")
-    amperes, volts = (unit_factor(table, names, "AV") or 1.0 for names in (currents, voltages))
     shaft = bool(words(speed) & _RPM) and not words(speed) & _ELECTRICAL
     unit = "rpm" if words(speed) & {*_RPM, "erpm"} else "rad/s"
     unsure.append(
@@ -67,10 +67,15 @@ def _lines(
         "the fluxes follow its unit" + (" and pole_pairs, which no data show." if shaft else ".")
     )
     body = [f"defaults: {{{', '.join(where)}}}"] if where else []
-    body += ["currents:", "  frame: dq", f"  fields: {listed(currents)}   # A, peak"]
-    body += [f"  scale: {amperes:g}"] if amperes != 1.0 else []
-    body += ["voltages:", "  frame: dq", f"  fields: {listed(voltages)}   # V, peak, phase to neutral, as commanded"]
-    body += [f"  scale: {volts:g}"] if volts != 1.0 else []
+    for what, unit_, names in (
+        ("currents", "A", currents),
+        ("voltages", "V, phase to neutral, as commanded", voltages),
+    ):
+        x = np.concatenate([table.columns[name] for name in names])
+        factor = unit_factor(table, names, "AV")
+        open_ = open_scale(x[np.isfinite(x)], factor or None, unit_[0], "dq")
+        body += [f"{what}:", "  frame: dq", f"  fields: {listed(names)}   # {unit_}, peak"]
+        body += [f"  scale: {factor or 1:g}   # EDIT: {'; '.join(open_)}"]
     body += ["resolver:", f"  speed: {quoted(speed)}", f"  speed_unit: {unit}"]
     if shaft:
         body += ["  mechanical: true", "  pole_pairs: 1   # EDIT: that of the machine"]

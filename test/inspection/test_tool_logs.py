@@ -467,6 +467,7 @@ def test_vesc_tool_logs_get_a_draft_for_static(coasting, period, tmp_path):
     assert draft is not None
     assert draft.static
     assert "pole_pairs" not in draft.text  # the speed is electrical
+    assert draft.text.count("EDIT: times 0.8165") == 2
     log = read_operating_log(path, parse_signals(draft.text, "the draft"))
     np.testing.assert_allclose(log.data.i_dq, i_dq, atol=1e-6)
     np.testing.assert_allclose(log.data.speed, erpm * np.pi / 30)

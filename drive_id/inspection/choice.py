@@ -33,7 +33,7 @@ _BALANCED = 0.35
 _SUM = 0.05
 """Deviation of the sum of three currents, one of them with its sign changed, by that of all."""
 _BETWEEN, _LEAST_BETWEEN = 0.6, 0.005
-"""Largest ratio of unexplained voltage, and least of it before, by which voltages are those between phases."""
+"""Largest ratio of unexplained voltage, and least of it before, by which voltages are between phases, or q lags d."""
 _MOST_TRIED = 12
 """Combinations of currents, voltages and angle that are tried: each takes some tenths of a second."""
 _LARGEST = 1e30
@@ -108,7 +108,7 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
             f"{seen}{blank}: write the signals file by hand, from "
             "config/signals_example_stranger.yaml or signals_example_columns.yaml."
         )
-    return tables, _between_phases(choice, tables)
+    return tables, _q_behind(_between_phases(choice, tables), tables)
 
 
 def _no_angle(tables: Sequence[Table]) -> str:
@@ -134,11 +134,24 @@ def _between_phases(choice: Choice, tables: Sequence[Table]) -> Choice:
     three = u.group.frame == "abc" and len(u.group.names) == 3 and not full_scale(u)
     if not three or left < _LEAST_BETWEEN or np.abs(u.values.sum(axis=1)).max() > _SUM * np.abs(u.values).max():
         return choice
-    taken = (*choice.currents.group.names, *u.group.names, choice.angle.name)
-    lines = replace(u, group=replace(u.group, frame="line_to_line"))
-    other = _read(choice.currents, lines, choice.angle, dc_link(tables, taken))
+    return _far_better(choice, choice.currents, replace(u, group=replace(u.group, frame="line_to_line")), tables)
+
+
+def _q_behind(choice: Choice, tables: Sequence[Table]) -> Choice:
+    """Return the choice with the sign of q changed in what is logged in d and q, where that explains far more."""
+    groups = (choice.currents, choice.voltages)
+    i, u = (replace(found, signs=(1, -1)) if found.group.frame == "dq" else found for found in groups)
+    if choice.reading.unexplained < _LEAST_BETWEEN or "dq" not in (i.group.frame, u.group.frame):
+        return choice
+    return _far_better(choice, i, u, tables)
+
+
+def _far_better(choice: Choice, i: PhaseGroup, u: PhaseGroup, tables: Sequence[Table]) -> Choice:
+    """Return the choice of these currents and voltages where they explain far more, in order; else the one before."""
+    other = _read(i, u, choice.angle, dc_link(tables, (*i.group.names, *u.group.names, choice.angle.name)))
     straight = other is not None and other.reading.voltage_order == (0, 1, 2) and other.reading.voltage_sign > 0
-    return other if other and straight and other.reading.unexplained < _BETWEEN * left else choice
+    far = _BETWEEN * choice.reading.unexplained
+    return other if other and straight and other.reading.unexplained < far else choice
 
 
 def blank_columns(contents: Contents) -> str:

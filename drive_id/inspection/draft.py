@@ -128,13 +128,9 @@ class _DraftText:
             self._unsure.append(f"The log holds {blank}.")
         left = self.unexplained
         if left > _POOR:
-            in_rotor = "dq" in (self._choice.currents.group.frame, self._choice.voltages.group.frame)
-            swapped = (
-                "or q may lag d (reverse its sign) or be exchanged with it" if in_rotor else "or phases be swapped"
-            )
             self._unsure.append(
                 f"A rough machine model leaves {100 * left:.0f} % of the voltage unexplained by these signals: "
-                f"currents, voltages or angle may be other columns, {swapped}."
+                "currents, voltages or angle may be other columns, or phases be swapped."
             )
         remark = f"A rough machine model explains all but {100 * left:.2g} % of the voltage with it."
         return _draft(self._contents, remark, body, self._unsure)
@@ -248,7 +244,11 @@ class _DraftText:
 
     def _tell_reversed(self, what: str, found: PhaseGroup) -> None:
         odd = [name for name, sign in zip(found.group.names, found.signs, strict=False) if sign < 0]
-        if odd:
+        if odd and found.group.frame == "dq":
+            self._unsure.append(
+                f"{odd[0]} explains far more with its sign changed, as the draft does: q lags d, or both are exchanged."
+            )
+        elif odd:
             self._unsure.append(f"The {what} of {odd[0]} seems to be reversed, and its sign is changed: compare it.")
 
     def _duty_scale(self, u: PhaseGroup, full: float) -> str:

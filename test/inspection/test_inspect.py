@@ -306,6 +306,9 @@ KINDS = {
     "a 16-bit count of 4000 per turn": lambda s: {"theta": None, "omega": None, "enc": counts(s, 4000, 65_536)},
     "alpha and beta": lambda s: dq_names(s, np.zeros(len(s)), ("alpha", "beta")),
     "d and q": lambda s: dq_names(s, s.angle, ("d", "q")),
+    "q behind d": lambda s: {
+        name: -x if name in ("i_q", "u_q") else x for name, x in dq_names(s, s.angle, ("d", "q")).items()
+    },
     "half turns": lambda s: {"theta": np.mod(s.angle / np.pi, 2) - 1},
     "gradians": lambda s: {"theta": np.mod(s.angle / np.pi, 2) * 200},
     "turns of the shaft without an end": lambda s: {"theta": 1000 + shaft(s) / (2 * np.pi), "omega": None},

@@ -31,6 +31,8 @@ _MOST_ELEMENTS = 16
 """Longest array whose elements are columns of their own; longer ones are blocks of samples."""
 _DEPTH = 4  # of fields within fields, beyond which nobody keeps a signal
 _FIRST_ROWS = 100  # by which columns are judged to hold numbers
+_DATES = ("timestamp", "datetime")
+"""Begins of types of dates, which are read as ns, whatever their resolution."""
 _STEADY = 0.02
 """Difference of a step of the stamps from their median, by the median, up to which it is a usual one."""
 _MOSTLY = 0.8
@@ -53,7 +55,8 @@ class Table:
 
     def unit(self, name: str) -> str:
         """Return the unit that the log gives for a column, such as ``ms``; empty if it gives none."""
-        return self.types.get(name, "").partition("[")[2].rstrip("]")
+        kind, _, unit = self.types.get(name, "").partition("[")
+        return "ns" if kind.startswith(_DATES) else unit.rstrip("]")
 
     @property
     def period(self) -> float | None:

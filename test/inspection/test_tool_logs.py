@@ -541,6 +541,58 @@ def test_a_time_of_which_nothing_tells_the_unit_is_a_guess(kind, tmp_path, colum
     assert [message.values["setting"] for message in found.warnings] == [setting] * bool(setting)
 
 
+def tdms_milli(path, c):
+    units = {name: {"unit_string": "mA"} for name in PHASES[:3]}
+    return tool_logs.tdms(path, milli(c), units, groups=False)
+
+
+def milli(c):
+    return c | {name: 1e3 * c[name] for name in PHASES[:3]}
+
+
+def mdf_milli(path, c):
+    from asammdf import MDF, Signal
+
+    with MDF(version="4.10") as file:
+        file.append([Signal(x, c["t"], name=name, unit="mA" if name in PHASES[:3] else "")
+                     for name, x in milli(c).items() if name != "t"])  # fmt: skip
+        return file.save(path, overwrite=True)
+
+
+def hdf5_milli(path, c):
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, x in milli(c).items():
+            file.create_dataset(name, data=x).attrs["units"] = "mA" if name in PHASES[:3] else ""
+    return path
+
+
+DECLARED = {"a.tdms": tdms_milli, "a.mf4": mdf_milli, "a.h5": hdf5_milli}
+
+
+@pytest.mark.parametrize("name", DECLARED)
+def test_units_that_a_container_declares_are_used(name, tmp_path, samples, columns):
+    """Currents were 1000 times too large, without a mark where they are small."""
+    small = columns | {name: 0.01 * columns[name] for name in PHASES[:3]}
+    found, draft, _ = drafted(DECLARED[name](tmp_path / name, small))
+    np.testing.assert_allclose(found.i_abc[10], 0.01 * samples.i_abc[10], atol=1e-3)
+    assert "scale: 0.001" in draft.text
+    assert "EDIT" not in draft.text
+
+
+def test_dates_that_are_the_index_of_pandas_are_read(tmp_path, samples, columns):
+    """The file was called damaged; dates in us at 20 kHz passed for times in us."""
+    import pandas as pd
+
+    times = pd.Timestamp("2026-01-02") + pd.to_timedelta(50 * np.arange(N), unit="us")
+    table = pd.DataFrame({name: x for name, x in columns.items() if name != "t"}, index=times.as_unit("us"))
+    table.rename_axis("timestamp").to_parquet(tmp_path / "a.parquet")
+    found, draft, _ = drafted(tmp_path / "a.parquet")
+    assert_same(found, samples, 5e-5)
+    assert "EDIT" not in draft.text
+
+
 def test_a_refusal_names_what_is_still_a_guess(tmp_path, columns):
     """A fit by a wrong guess asked for a longer recording."""
     path = tool_logs.csv(tmp_path / "a.csv", columns)

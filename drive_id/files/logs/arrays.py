@@ -14,12 +14,14 @@ from drive_id.errors import NotABagError, TruncatedBagError
 from drive_id.files.inputs.archive import read_arrays
 from drive_id.files.inputs.input_file import open_input
 from drive_id.files.inputs.matlab import read_matlab
-from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, SlicedLog
+from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, SlicedLog, typed
 from drive_id.files.storage.container import UnpackBudget
 
 _MOST_COLUMNS = 64  # of one array that are offered as signals
 _DECODED = "MATLAB_object_decode"
 """Attribute of the datasets of version 7.3 that stand for objects."""
+_UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
+"""Attributes of datasets that hold their unit."""
 _FEWEST_SIGNALS = 5
 """Columns of a recording at least: two currents, two voltages, and an angle or a speed."""
 _REMEDIES = {
@@ -171,7 +173,8 @@ class Hdf5Log(SlicedLog):
     def _take(self, dataset: str, name: str, item: Any) -> None:
         def add(own: str, kind: Any, k: int | None = None, axis: int = 0) -> None:
             self._where[own] = (dataset, k, axis)
-            self._lengths[own] = (str(kind), item.shape[axis])
+            said = (item.attrs[name] for name in _UNIT_ATTRIBUTES if name in item.attrs)
+            self._lengths[own] = (typed(kind, *said), item.shape[axis])
 
         if item.dtype.names:
             for field in item.dtype.names:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.files.inputs.input_file import open_input
-from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, SlicedLog
+from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, SlicedLog, typed
 
 
 class _StreamLog(SlicedLog):
@@ -53,7 +53,8 @@ class MdfLog(_StreamLog):
             columns = {}
             for k, channel in enumerate(group.channels):
                 if k != master and channel.name not in columns:
-                    columns[channel.name] = str(getattr(channel, "dtype_fmt", "") or "number")
+                    said = (getattr(entry, "unit", "") for entry in (channel, channel.conversion))
+                    columns[channel.name] = typed(getattr(channel, "dtype_fmt", "") or "number", *said)
                     self._channels[Column(name, channel.name)] = k
             self._numbers[name] = number
             groups.append(ColumnGroup(name, columns, int(info.cycles_nr), master is not None))
@@ -107,7 +108,10 @@ class TdmsLog(_StreamLog):
         if timing is not None:
             self._timing[own] = timing
         self._channels |= {Column(own, channel.name): channel for channel in channels}
-        columns = {channel.name: str(np.dtype(channel.dtype)) for channel in channels}
+        columns = {
+            channel.name: typed(np.dtype(channel.dtype), channel.properties.get("unit_string", ""))
+            for channel in channels
+        }
         return ColumnGroup(own, columns, max(map(len, channels)), timing is not None, name if own != name else "")
 
     def _slice(self, column: Column, at: slice) -> NDArray[Any]:

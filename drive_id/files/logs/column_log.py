@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
@@ -32,6 +33,8 @@ _NAMES = {
     "mat73": "MATLAB",
 }
 """Names of kinds that are not those of the kinds in capitals, such as CSV."""
+_UNIT = re.compile(r"[kmun]?[AVs]|%|rad|deg|°|rpm|min-1|1/min|N ?m|°?C|rad/s|Hz")
+_UNIT_WORDS = {"volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "second": "s", "seconds": "s"}
 _MOST_NAMED = 12  # columns or groups in a message: two lines of a terminal
 _SECONDS = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanoseconds"), ("s", "ns"))
 """Ends of the names of seconds and nanoseconds in two columns, as ROS 2, ROS 1, Linux and others write them."""
@@ -175,6 +178,20 @@ def find_column(log: ColumnLog, name: str, group: str, wanted_for: str) -> Colum
         f"{log.path} has no column '{name}' for the {wanted_for}{guess} (it has {shown or 'none at all'}): name "
         "another one in the signals file."
     )
+
+
+def unit_of(said: Any) -> str:
+    """Return the unit in what a file says of a column, such as ``(ms)`` or ``Volts``; empty if it is none."""
+    text = said.decode("utf-8", "replace") if isinstance(said, bytes) else str(said)
+    plain = text.strip().strip("[]()").strip().replace("µ", "u").replace("μ", "u")
+    unit = _UNIT_WORDS.get(plain.lower(), plain)
+    return unit if _UNIT.fullmatch(unit) else ""
+
+
+def typed(kind: Any, *said: Any) -> str:
+    """Return the type of a column with the first unit among what a file says of it: ``float64 [mA]``."""
+    unit = next((unit for entry in said if (unit := unit_of(entry))), "")
+    return f"{kind} [{unit}]" if unit else str(kind)
 
 
 def same_name(one: str, other: str) -> bool:

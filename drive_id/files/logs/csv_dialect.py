@@ -11,6 +11,7 @@ from pathlib import Path
 
 from drive_id.common.quantity import counted
 from drive_id.errors import MessageTypeError
+from drive_id.files.logs.column_log import unit_of
 from drive_id.files.logs.log_kind import UTF_16, text_stream
 
 WHITE = r"\s+"
@@ -22,7 +23,6 @@ _LAST = 50
 """Lines from which the number of columns is determined."""
 _NUMBER = re.compile(r"\s*[-+]?(\d+[.,]?\d*|[.,]\d+)([eEdD][-+]?\d+)?\s*|\s*[-+]?(nan|inf(inity)?|∞)\s*", re.IGNORECASE)
 _DATE = re.compile(r"\s*(\d{1,4}[-./]\d{1,2}[-./]\d{2,4}|\d{1,3}:\d\d).*")
-_UNIT = re.compile(r"[kmun]?[AVs]|%|rad|deg|°|rpm|min-1|1/min|N ?m|°?C|rad/s|Hz")
 _MOSTLY = 0.9  # share of rows with a number, from which on a column holds numbers
 _TWINCAT = "Name"
 """First cell of the names in exports of TwinCAT Scope, which stands above each column of times, too."""
@@ -104,7 +104,7 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     width = len(rows[first])
     rows = [row[:width] if row[:1] == [_LABVIEW] else row for row in rows]  # whose comments need not have a cell
     above = [k for k in filled if k < first and len(rows[k]) == width and all(cell.strip() for cell in rows[k][1:-1])]
-    while len(above) > 1 and all(_unit(cell) for cell in rows[above[0]][1:]):
+    while len(above) > 1 and all(unit_of(cell) for cell in rows[above[0]][1:]):
         above = above[1:]  # units above the names
     if not above:
         return None
@@ -121,20 +121,12 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     step = next((row for row in rows[:header] if row and row[0].strip() == _STEP), ())
     period = _float(next(iter(step[1:]), "")) if 0 in blank else None
     unnamed = tuple(k for k in blank if not rows[header][k].strip() or (k == 0 and period))
-    units = [_unit(cell) for cell in rows[header + 1]] if len(rows[header + 1]) == width else []
+    units = [unit_of(cell) for cell in rows[header + 1]] if len(rows[header + 1]) == width else []
     units = (header + 1 < first and units) or [""] * width
     dated = [sum(bool(_NUMBER.fullmatch(row[k])) for row in body) * 2 < sum(bool(row[k].strip()) for row in body)
              for k in range(width)]  # fmt: skip
     units = ["ns" if date else unit for unit, date in zip(units, dated, strict=True)]  # as which dates are read
     return replace(found, names=_unique(rows[header]), blank=unnamed, period=period, units=tuple(units))
-
-
-def _unit(cell: str) -> str:
-    """Return the unit in a cell below a name, ``(ms)``; empty if it is none."""
-    plain = cell.strip().strip("[]()").strip().replace("µ", "u").replace("μ", "u")
-    words = {"volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "second": "s", "seconds": "s"}
-    unit = words.get(plain.lower(), plain)
-    return unit if _UNIT.fullmatch(unit) else ""
 
 
 def _unique(cells: Sequence[str]) -> tuple[str, ...]:

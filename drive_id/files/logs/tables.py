@@ -179,13 +179,13 @@ class ArrowLog(FrameLog):
             total, done = max(self._arrow.metadata.num_rows, 1), 0
             for batch in self._arrow.iter_batches(batch_size=rows, columns=names):
                 done += batch.num_rows
-                yield batch.to_pandas(), done / total
+                yield batch.to_pandas(ignore_metadata=True), done / total
             return
         count = self._arrow.num_record_batches
         for k in range(count):
             batch = self._arrow.get_batch(k).select(names)
             for start in range(0, batch.num_rows, rows):
-                yield batch.slice(start, rows).to_pandas(), (k + 1) / count
+                yield batch.slice(start, rows).to_pandas(ignore_metadata=True), (k + 1) / count
 
 
 def _flat(frame: Any) -> Any:

@@ -134,20 +134,35 @@ def _between_phases(choice: Choice, tables: Sequence[Table]) -> Choice:
     three = u.group.frame == "abc" and len(u.group.names) == 3 and not full_scale(u)
     if not three or left < _LEAST_BETWEEN or np.abs(u.values.sum(axis=1)).max() > _SUM * np.abs(u.values).max():
         return choice
-    return _far_better(choice, choice.currents, replace(u, group=replace(u.group, frame="line_to_line")), tables)
+    return _far_better(choice, (choice.currents, replace(u, group=replace(u.group, frame="line_to_line"))), tables)
 
 
 def _q_behind(choice: Choice, tables: Sequence[Table]) -> Choice:
-    """Return the choice with the sign of q changed in what is logged in d and q, where that explains far more."""
+    """Return the choice with the sign of q changed, or d and q exchanged, where that explains far more.
+
+    Both differ by a quarter turn of the axes, which a magnet or the saliency shows.
+    """
     groups = (choice.currents, choice.voltages)
-    i, u = (replace(found, signs=(1, -1)) if found.group.frame == "dq" else found for found in groups)
-    if choice.reading.unexplained < _LEAST_BETWEEN or "dq" not in (i.group.frame, u.group.frame):
+    if choice.reading.unexplained < _LEAST_BETWEEN or "dq" not in (groups[0].group.frame, groups[1].group.frame):
         return choice
-    return _far_better(choice, i, u, tables)
+    behind = _far_better(choice, [_in_rotor(found, exchanged=False) for found in groups], tables)
+    if behind is choice or abs(behind.reading.angle_offset) < np.pi / 4:
+        return behind
+    return _far_better(choice, [_in_rotor(found, exchanged=True) for found in groups], tables)
 
 
-def _far_better(choice: Choice, i: PhaseGroup, u: PhaseGroup, tables: Sequence[Table]) -> Choice:
+def _in_rotor(found: PhaseGroup, *, exchanged: bool) -> PhaseGroup:
+    """Return components in d and q exchanged, or with q's sign changed; others as they are."""
+    if found.group.frame != "dq":
+        return found
+    if not exchanged:
+        return replace(found, signs=(1, -1))
+    return replace(found, group=replace(found.group, names=found.group.names[::-1]), values=found.values[:, ::-1])
+
+
+def _far_better(choice: Choice, groups: Sequence[PhaseGroup], tables: Sequence[Table]) -> Choice:
     """Return the choice of these currents and voltages where they explain far more, in order; else the one before."""
+    i, u = groups
     other = _read(i, u, choice.angle, dc_link(tables, (*i.group.names, *u.group.names, choice.angle.name)))
     straight = other is not None and other.reading.voltage_order == (0, 1, 2) and other.reading.voltage_sign > 0
     far = _BETWEEN * choice.reading.unexplained

@@ -11,7 +11,7 @@ import numpy as np
 from drive_id.core.checks.recognition import is_count
 from drive_id.core.signals.equal_spacing import equal_spacing
 from drive_id.core.signals.restarts import Restarts
-from drive_id.files.logs.column_log import seconds_columns
+from drive_id.files.logs.column_log import part_of_second, seconds_columns
 from drive_id.files.messages.signal_sources import STAMP_UNITS
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import quoted, stated_unit, suggests
@@ -62,7 +62,8 @@ def stamped(table: Table, name: str, tick: float) -> Table:
     seconds = table.columns[both[0] if both else name]
     stamp = np.rint((seconds - seconds[:1]) * tick).astype(np.int64)
     if both:
-        stamp += np.rint(table.columns[both[1]] - table.columns[both[1]][:1]).astype(np.int64)
+        part = table.columns[both[1]] * part_of_second(both[1])
+        stamp += np.rint(part - part[:1]).astype(np.int64)
     return replace(table, stamp=Restarts().continued(stamp), stamp_source=name)
 
 
@@ -89,7 +90,7 @@ def _began(table: Table) -> int | None:
         return None
     both = seconds_columns(found.name, table.columns)
     first = float(table.columns[both[0] if both else found.name][0]) * found.tick
-    return round(first) + (round(float(table.columns[both[1]][0])) if both else 0)
+    return round(first) + (round(float(table.columns[both[1]][0]) * part_of_second(both[1])) if both else 0)
 
 
 def numbered(table: Table) -> Table:

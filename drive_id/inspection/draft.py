@@ -244,10 +244,11 @@ class _DraftText:
 
     def _tell_reversed(self, what: str, found: PhaseGroup) -> None:
         odd = [name for name, sign in zip(found.group.names, found.signs, strict=False) if sign < 0]
+        names = found.group.names
         if odd and found.group.frame == "dq":
-            self._unsure.append(
-                f"{odd[0]} explains far more with its sign changed, as the draft does: q lags d, or both are exchanged."
-            )
+            self._unsure.append(f"{odd[0]} explains far more with its sign changed, as in the draft: q must lead d.")
+        elif found.group.frame == "dq" and names not in {group.names for group in name_groups(names)}:
+            self._unsure.append(f"{names[1]} and {names[0]} explain far more exchanged, as in the draft: compare them.")
         elif odd:
             self._unsure.append(f"The {what} of {odd[0]} seems to be reversed, and its sign is changed: compare it.")
 

@@ -309,6 +309,7 @@ KINDS = {
     "q behind d": lambda s: {
         name: -x if name in ("i_q", "u_q") else x for name, x in dq_names(s, s.angle, ("d", "q")).items()
     },
+    "d for q": lambda s: dq_names(s, s.angle, ("q", "d")),
     "half turns": lambda s: {"theta": np.mod(s.angle / np.pi, 2) - 1},
     "gradians": lambda s: {"theta": np.mod(s.angle / np.pi, 2) * 200},
     "turns of the shaft without an end": lambda s: {"theta": 1000 + shaft(s) / (2 * np.pi), "omega": None},

@@ -205,7 +205,8 @@ CAPTURES = {  # writer, and how many
     "TwinCAT": (lambda path, c: tool_logs.twincat(path, c, [[*PHASES, "theta"]], comma=True), 3),
     "Parquet": (tool_logs.parquet, 4),
 }
-SECONDS = {"ROS 2": ("sec", "nanosec"), "ROS 1": ("header.stamp.secs", "header.stamp.nsecs"), "C": ("ts_s", "ts_ns")}
+SECONDS = {"ROS 2": ("sec", "nanosec"), "ROS 1": ("header.stamp.secs", "header.stamp.nsecs"), "C": ("ts_s", "ts_ns"),
+           "Unix": ("tv_sec", "tv_usec")}  # fmt: skip
 
 
 @pytest.mark.cases
@@ -213,7 +214,8 @@ SECONDS = {"ROS 2": ("sec", "nanosec"), "ROS 1": ("header.stamp.secs", "header.s
 @pytest.mark.parametrize("names", SECONDS)
 def test_seconds_and_nanoseconds_are_one_time_without_jitter(names, restarts, tmp_path, samples, columns):
     ns = 1_700_000_000_900_000_000 + 100_000 * (np.arange(N) % 4000 if restarts else np.arange(N))
-    times = dict(zip(SECONDS[names], divmod(ns, 10**9), strict=True))
+    seconds, part = divmod(ns, 10**9)
+    times = dict(zip(SECONDS[names], (seconds, part // 1000 if names == "Unix" else part), strict=True))
     rest = {name: x for name, x in columns.items() if name != "t"}
     path = tool_logs.csv(tmp_path / "a.csv", {**times, **rest}, digits=dict.fromkeys(times, "%.0f"))
     found, _, warnings = drafted(path)

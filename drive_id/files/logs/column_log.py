@@ -36,8 +36,12 @@ _NAMES = {
 _UNIT = re.compile(r"[kmun]?[AVs]|%|rad|deg|°|rpm|min-1|1/min|N ?m|°?C|rad/s|Hz")
 _UNIT_WORDS = {"volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "second": "s", "seconds": "s"}
 _MOST_NAMED = 12  # columns or groups in a message: two lines of a terminal
-_SECONDS = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanoseconds"), ("s", "ns"))
-"""Ends of the names of seconds and nanoseconds in two columns, as ROS 2, ROS 1, Linux and others write them."""
+_SECONDS = (
+    ("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanoseconds"), ("s", "ns"),
+    ("sec", "usec"), ("secs", "usecs"), ("seconds", "microseconds"),
+)  # fmt: skip
+"""Ends of the names of seconds and their parts in two columns, as ROS 2, ROS 1, Linux and others write them."""
+_MICROSECONDS = ("usec", "usecs", "microseconds")
 
 
 @dataclass(frozen=True)
@@ -200,7 +204,7 @@ def same_name(one: str, other: str) -> bool:
 
 
 def seconds_columns(stamp: str, names: Collection[str]) -> tuple[str, ...]:
-    """Return the columns of seconds and nanoseconds that a time has among ``names``; nothing for one of one column.
+    """Return the columns of seconds and of their parts that a time has among ``names``; nothing for one of one column.
 
     ``stamp`` is the column of the seconds, or what the names of both begin with: ``header.stamp``.
     """
@@ -212,3 +216,8 @@ def seconds_columns(stamp: str, names: Collection[str]) -> tuple[str, ...]:
             if {f"{stamp}{sign}{end}", f"{stamp}{sign}{other}"} <= set(names):
                 return f"{stamp}{sign}{end}", f"{stamp}{sign}{other}"
     return ()
+
+
+def part_of_second(name: str) -> float:
+    """Return the unit, ns, of the column beside that of the seconds."""
+    return 1e3 if name.lower().endswith(_MICROSECONDS) else 1.0

@@ -22,6 +22,7 @@ from drive_id.files.logs.column_log import (
     ColumnLog,
     Rows,
     find_column,
+    part_of_second,
     seconds_columns,
 )
 from drive_id.files.logs.open_log import open_log
@@ -178,7 +179,7 @@ def _stamps(rows: Rows, section: _Section) -> NDArray[Any]:
         return np.asarray(np.maximum(raw[0], NO_TIME + 1))
     there = ~np.any([np.isnan(column) for column in raw], axis=0)
     found: NDArray[Any] = np.full(len(raw[0]), NO_TIME)
-    ticks = [1e9, 1.0] if len(raw) > 1 else [section.source.tick]
+    ticks = [1e9, part_of_second(section.stamp[1].name)] if len(raw) > 1 else [section.source.tick]
     found[there] = sum(ticks_to_ns(column[there], tick, name) for column, tick in zip(raw, ticks, strict=True))
     return found
 

@@ -112,18 +112,6 @@ class _DraftText:
     def draft(self) -> Draft:
         """Return the proposal."""
         body = [*self._currents(), "", *self._voltages(), "", *self._rotor(), *self._reference(), *self._optional()]
-        if self._choice.currents.table.stamp_source == INDEX:
-            self._unsure.append(
-                "No column shows the time of a row: set sample_period in every section to the time between rows (the "
-                f"draft assumes {GUESSED_PERIOD:g} s); speed and flux linkages depend on it."
-            )
-        times = [time_column(table) for table in self._tables if table.stamp_source in table.columns]
-        for time in times:
-            if time is not None and not time.stated:
-                self._unsure.append(
-                    f"{time.name} holds whole numbers without a unit, taken for {time.unit}: flux linkages are "
-                    "proportional to it."
-                )
         if blank := blank_columns(self._contents):
             self._unsure.append(f"The log holds {blank}.")
         left = self.unexplained
@@ -150,13 +138,21 @@ class _DraftText:
     def _time(self, table: Table, lines: list[str]) -> list[str]:
         """Return the lines that give the place and time of a table's samples, before other ``lines``."""
         found = [f"  {setting}" for setting in self._source(table)]
-        if table.stamp_source == INDEX:
-            found[-1] += "         # EDIT: s; no column shows the time of a row"
-            return [*found, *lines]
         time = time_column(table) if table.stamp_source in table.columns else None
         guessed = time is not None and not time.stated
-        if guessed:
-            found[-1] += f"{' ' * 15}# EDIT: by whole numbers without a unit; ticks of a timer need stamp_scale, s"
+        said = ""
+        if table.stamp_source == INDEX:
+            found[-1] += "         # EDIT: s; no column shows the time of a row"
+            said = (
+                "No column shows the time of a row: set sample_period in every section to the time between rows (the "
+                f"draft assumes {GUESSED_PERIOD:g} s); speed and flux linkages depend on it."
+            )
+        elif time is not None and guessed:
+            found[-1] += "               # EDIT: by whole numbers without a unit; ticks of a timer need stamp_scale, s"
+            said = f"{time.name} holds whole numbers without a unit, taken for {time.unit}: flux linkages follow it."
+        self._unsure += [said] if said and said not in self._unsure else []
+        if table.stamp_source == INDEX:
+            return [*found, *lines]
         if table.stamp_source == "log_time":
             found[-1] += "                 # the messages have no header"
         period, jitter = table.period, table.jitter

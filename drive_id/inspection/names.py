@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 
+from drive_id.files.logs.column_log import UNIT
+
 _PHASES = ("abc", "uvw", "rst", "123", "012", "xyz")
 _PAIRS = (("d", "q", "dq"), ("alpha", "beta", "alpha_beta"), ("al", "be", "alpha_beta"))
 _WORDS = {
@@ -21,10 +23,9 @@ _WORDS = {
     "dc": ("dc", "udc", "vdc", "ubus", "vbus", "bus", "link", "dclink", "zk", "uzk", "battery", "supply"),
     "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds", "sec", "secs", "today", "elapsed"),
 }  # fmt: skip
-_BASE = r"([nuµmk]?)(A|V|s|%|rad|deg|°|rev|rpm|min-1|1/min|U/min|rad/s|Hz|N ?m|°C|C|K|W)"
 _UNITS_IN_NAMES = (
-    re.compile(rf"[\[({{</] *{_BASE} *[\])}}>]?(?: \(\d+\))?$", re.IGNORECASE),  # I1 [mA], I1/mA
-    re.compile(rf"(?:^|[_ ]){_BASE}(?: \(\d+\))?$"),  # I1_mA, I1 in mA; or the unit alone, as a log gives it
+    re.compile(rf"[\[({{</] *{UNIT} *[\])}}>]?(?: \(\d+\))?$", re.IGNORECASE),  # I1 [mA], I1/mA
+    re.compile(rf"(?:^|[_ ]){UNIT}(?: \(\d+\))?$"),  # I1_mA, I1 in mA; or the unit alone, as a log gives it
     re.compile(r"^([nuµm])(s)_"),  # ms_today
 )
 FACTORS = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}

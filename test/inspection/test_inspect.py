@@ -372,6 +372,15 @@ def test_an_angle_that_is_none_is_named_with_the_way_out(kind, tmp_path, samples
     assert len(str(finding).split()) <= 36
 
 
+def test_an_interpolated_angle_is_no_swinging_shaft(tmp_path, samples):
+    """The refusal asked for a slow rotation of a shaft that had turned 40 times."""
+    path = write_parquet(tmp_path / "log.parquet", columns(samples, omega=None, theta=interpolated(samples)))
+    text = "defaults: {stamp: time_s, stamp_unit: s}\ncurrents: {fields: [ia, ib, ic]}\n"
+    text += "voltages: {fields: [ua, ub, uc]}\nresolver: {angle: theta}\n"
+    (finding,) = [found for found in check(path, signals=parse_signals(text, "x")).findings if found.kind == "error"]
+    assert "to and fro within 1.00 electrical revolutions, as where it was interpolated" in finding
+
+
 def test_a_held_angle_is_found_and_told(tmp_path, samples):
     table = columns(samples, omega=None, theta=np.mod(np.repeat(samples.angle[::10], 10), 2 * np.pi))
     found = check(write_parquet(tmp_path / "log.parquet", table))

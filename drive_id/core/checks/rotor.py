@@ -26,6 +26,8 @@ _MEANT = 0.006
 """Relative distance from a unit or a factor that is meant: neighbouring pole pairs differ by 2 %, and degrees that were
 wrapped as if in radians are off by 0.5 %. Half of it for turns in rad: 256 counts are off 41 of them by 0.6 %."""
 _SWINGING = 3.0  # way of a swinging rotor, by its range
+_WHOLE, _TO_AND_FRO = 0.95, 10.0
+"""Range of the angle, turns, and way by its range, from which on it was likely interpolated across its wraps."""
 _LEAST_SWING = 0.05  # rad, least such range: angle noise travels far, too
 _FASTEST_CHANGE = 200.0
 """Hz, above which a derivative of the angle is noise."""
@@ -82,6 +84,8 @@ def standstill_finding(turned: float, travelled: float) -> Message:
     revolutions = turned / (2 * np.pi)
     swings = turned >= _LEAST_SWING and travelled >= _SWINGING * turned
     wording = "standstill.swing" if swings else "standstill"
+    if revolutions > _WHOLE and travelled > _TO_AND_FRO * turned:
+        wording = "standstill.interpolated"
     return Message(wording, turned=turned, travelled=travelled, revolutions=revolutions)
 
 

@@ -33,7 +33,8 @@ _NAMES = {
     "mat73": "MATLAB",
 }
 """Names of kinds that are not those of the kinds in capitals, such as CSV."""
-_UNIT = re.compile(r"[kmun]?[AVs]|%|rad|deg|°|rpm|min-1|1/min|N ?m|°?C|rad/s|Hz")
+UNIT = r"([nuµmk]?)(A|V|s|%|rad|deg|°|rev|rpm|min-1|1/min|U/min|rad/s|Hz|N ?m|°?C|K|W)"
+"""Units of logs, by prefix and base."""
 _UNIT_WORDS = {"volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "second": "s", "seconds": "s"}
 _MOST_NAMED = 12  # columns or groups in a message: two lines of a terminal
 _SECONDS = (
@@ -187,9 +188,9 @@ def find_column(log: ColumnLog, name: str, group: str, wanted_for: str) -> Colum
 def unit_of(said: Any) -> str:
     """Return the unit in what a file says of a column, such as ``(ms)`` or ``Volts``; empty if it is none."""
     text = said.decode("utf-8", "replace") if isinstance(said, bytes) else str(said)
-    plain = text.strip().strip("[]()").strip().replace("µ", "u").replace("μ", "u")
+    plain = text.strip().strip("[]()").strip().replace("μ", "µ")
     unit = _UNIT_WORDS.get(plain.lower(), plain)
-    return unit if _UNIT.fullmatch(unit) else ""
+    return unit if re.fullmatch(UNIT, unit) else ""
 
 
 def typed(kind: Any, *said: Any) -> str:

@@ -149,10 +149,11 @@ def time_column(table: Table) -> TimeColumn | None:
         days = bool(not said and _DAYS[0] < x.min() and x.max() < _DAYS[1])
         units = [said] if said else [*["s"] * (not whole), *sorted(STAMP_UNITS, key=partial(_unlikely, period))]
         for unit in [*units, *[_DAY] * days]:
-            fits = float(np.ptp(x)) * _TICKS[unit] < _LONGEST
-            counted = not said and is_count(x)
-            if fits and not counted and PERIODS[0] <= period * _TICKS[unit] * 1e-9 <= PERIODS[1]:
-                return TimeColumn(name, unit, bool(said) or not whole or _DATES[0] < x.min())
+            tick = _TICKS[unit]
+            sure = bool(said) or not whole or _DATES[0] < x.min() * tick < _DATES[1]
+            fits = float(np.ptp(x)) * tick < _LONGEST and PERIODS[0] <= period * tick * 1e-9 <= PERIODS[1]
+            if fits and (sure or not is_count(x)):
+                return TimeColumn(name, unit, sure)
     for name, x in table.columns.items():
         dates = len(x) >= FEWEST and _DATES[0] < np.min(x) and np.max(x) < _DATES[1]
         if dates and PERIODS[0] <= _mean_step(x) * 1e-9 <= PERIODS[1]:

@@ -222,7 +222,7 @@ def test_seconds_and_nanoseconds_are_one_time_without_jitter(names, restarts, tm
     assert "stamp_jitter" not in [finding.code for finding in check(path).findings]
     assert found.sample_period == pytest.approx(1e-4, rel=1e-6)
     np.testing.assert_allclose(found.i_abc, samples.i_abc, atol=1e-3)
-    assert warnings == ["time_restarts"] * restarts
+    assert warnings == ["gaps", "time_restarts"] * restarts
     assert found.stamp[0] == ns[0]
 
 
@@ -524,6 +524,8 @@ TIMES = {  # of each row, by its number, what of it is a guess, and the period t
     "ticks of a timer of 32 bits": (lambda k: (8400 * k + 2**32 - 8_400_000) % 2**32, "stamp_unit: ns", 0.084),
     "us without a unit": (lambda k: 50.0 * k, "stamp_unit: us", 0.5),
     "numbers of rows": (lambda k: k, "sample_period: 0.0001", 1.0),
+    "us since 1970": (lambda k: 1_790_000_000_000_000 + 100 * k, "", 1.0),
+    "ms since 1970": (lambda k: 1_790_000_000_000 + k, "", 10.0),
     "days since 1900": (lambda k: 46_000.4 + k / 864e6, "", 1.0),
     "seconds since 1904": (lambda k: 3.87e9 + 1e-4 * k, "", 1.0),
     "ms without a unit": (lambda k: 0.1 * k, "", 1.0),

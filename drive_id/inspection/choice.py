@@ -311,7 +311,7 @@ def _chosen(
         (i, u)
         for i in currents
         for u in voltages
-        if not u.signs or suggests(u.label, "voltage")
+        if not u.signs or (suggests(u.label, "voltage") and not full_scale(u))
         if i.table.name != u.table.name or not set(i.group.names) & set(u.group.names)
     ]
     pairs.sort(key=lambda pair: current_points(pair[0]) + voltage_points(pair[1]), reverse=True)

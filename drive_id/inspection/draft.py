@@ -239,6 +239,7 @@ class _DraftText:
         return ["voltages:", *self._time(u.table, lines)]
 
     def _tell_reversed(self, what: str, found: PhaseGroup) -> None:
+        """Say which sign the draft changes, or that it exchanges d and q."""
         odd = [name for name, sign in zip(found.group.names, found.signs, strict=False) if sign < 0]
         names = found.group.names
         if odd and found.group.frame == "dq":

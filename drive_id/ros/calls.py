@@ -22,6 +22,8 @@ from rclpy.publisher import Publisher
 from std_msgs.msg import Empty
 
 from drive_id.core.experiment.encoder import Encoder
+from drive_id.core.experiment.permission import LIMIT
+from drive_id.core.experiment.supervision import REFUSED_FOR
 from drive_id.errors import ExperimentError
 from drive_id.nodes.support.arguments import ros_arguments
 from drive_id.nodes.support.clocks import STEADY
@@ -166,16 +168,23 @@ class Calls:
         ExperimentError
             When a node is missing, or the drive is silent.
         """
+        self._wait_for_nodes(timeout)
+        self._wait_for_drive(timeout)
 
+    def _wait_for_nodes(self, timeout: float) -> None:
         def lacking() -> str:
             names = " and ".join(self.missing())
             return f"waiting for {names} (the first start compiles the numerical kernels: about 30 s)"
 
         self._wait(lambda: not self.missing(), lambda: f"still {lacking()}", lacking, timeout)
 
+    def _wait_for_drive(self, timeout: float) -> None:
+        """Wait until the drive is in order; a limit that forbids a start does not change, and is told by the start."""
+
         def waiting() -> str:
-            status = self._statuses[PUBLISHER]
-            return f"waiting for the drive: {status.message}" if status.level == DiagnosticStatus.WARN else ""
+            status, of_limit = self._statuses[PUBLISHER], self._figures[PUBLISHER].get(REFUSED_FOR) == LIMIT
+            waits = status.level == DiagnosticStatus.WARN and not of_limit
+            return f"waiting for the drive: {status.message}" if waits else ""
 
         self._wait(lambda: not waiting(), lambda: f"still {waiting()}", waiting, timeout, code="fault")
 
@@ -322,7 +331,7 @@ class Calls:
         while not condition():
             waited = time.monotonic() - begin
             if waited > timeout:
-                raise ExperimentError(f"After {timeout:g} s, {complaint()}.", code)
+                raise ExperimentError(f"After {timeout:g} s, {complaint().removesuffix('.')}.", code)
             if self._tell is not None:
                 self._tell(self._progress(doing(), waited))
             self._executor.spin_once(timeout_sec=_SPIN)

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from drive_id_msgs.action import Identify
@@ -14,7 +15,11 @@ from drive_id_msgs.srv import Command, StartExperiment, StartRecording, StopReco
 from rcl_interfaces.srv import GetParameters
 from std_msgs.msg import Empty
 
-from drive_id.errors import ExperimentError
+from drive_id.core.experiment.permission import permitted
+from drive_id.core.experiment.settings import ExperimentSettings
+from drive_id.core.experiment.supervision import CURRENT_LIMIT, SPEED_LIMIT
+from drive_id.errors import DriveIdError, ExperimentError
+from drive_id.nodes.support.parameters import settings_of
 from drive_id.nodes.support.qos import LATCHED, STREAM_BEST_EFFORT
 from drive_id.nodes.support.signal_messages import KINDS
 from drive_id.ros.calls import IDENTIFICATION, NODES, PUBLISHER, RECORDER, Calls, Progress
@@ -142,8 +147,11 @@ class Conductor(Calls):
         """
         count = max(len(goal.speeds), 1)
         self.recorded, self._phase, self._share, self._part = Recording(), WAITING, 0.0, 1 / count
-        self.wait_until_ready(self.timeout)
-        self._check(goal)
+        self._wait_for_nodes(self.timeout)
+        settings = self._check(goal)
+        self._permit(settings, goal, math.inf, 0.0)
+        self._wait_for_drive(self.timeout)
+        self._permit(settings, goal, *(self._value(PUBLISHER, name) for name in (CURRENT_LIMIT, SPEED_LIMIT)))
         for number, speed in enumerate(goal.speeds or (None,)):
             self._phase, self._share = WAITING, number / count
             if speed is not None:
@@ -301,8 +309,18 @@ class Conductor(Calls):
             raise ExperimentError(f"{IDENTIFICATION}/identify: {result.message}", result.code)
         return result
 
-    def _check(self, goal: Goal) -> None:
-        """Refuse a goal that does not fit the nodes, nodes that do not fit each other, and several drives."""
+    def _permit(self, settings: ExperimentSettings, goal: Goal, current_limit: float, speed_limit: float) -> None:
+        """Refuse a goal that the publisher would refuse, before anything is recorded or forgotten for it."""
+        try:
+            permitted(settings, goal.run, current_limit, speed_limit)
+        except DriveIdError as error:
+            raise ExperimentError(f"{PUBLISHER}: {error}", error.code) from error
+
+    def _check(self, goal: Goal) -> ExperimentSettings:
+        """Return the publisher's settings.
+
+        Refuse a goal that does not fit the nodes, nodes that do not fit each other, and several drives.
+        """
         if self._state is not None and self._state.state == PublisherState.TRIPPED:
             raise ExperimentError(f"{PUBLISHER} has tripped: {self._state.reason}", "tripped")
         for topic in KINDS:
@@ -311,20 +329,22 @@ class Conductor(Calls):
                 raise ExperimentError(
                     f"{count} nodes publish {self._node.resolve_topic_name(topic)}: leave one drive in each namespace."
                 )
-        if not goal.run.get("repeat") and self._parameter(PUBLISHER, "repeat") == 0:
+        settings = settings_of(ExperimentSettings, partial(self._values, PUBLISHER), PUBLISHER)
+        if not goal.run.get("repeat") and settings.repeat == 0:
             endless = f"repeat of {PUBLISHER} is 0: give the goal a number of repetitions."
             raise ExperimentError(endless, "configuration")
         if not goal.run.get("i_max"):
-            i_max = {node: self._parameter(node, "i_max") for node in (PUBLISHER, IDENTIFICATION)}
-            if i_max[IDENTIFICATION] and i_max[IDENTIFICATION] < i_max[PUBLISHER]:
+            mapped = self._parameter(IDENTIFICATION, "i_max")
+            if mapped and mapped < settings.i_max:
                 raise ExperimentError(
-                    f"{PUBLISHER} drives up to {i_max[PUBLISHER]:g} A and {IDENTIFICATION} maps up to "
-                    f"{i_max[IDENTIFICATION]:g} A: give both the same i_max."
+                    f"{PUBLISHER} drives up to {settings.i_max:g} A and {IDENTIFICATION} maps up to {mapped:g} A: give "
+                    "both the same i_max."
                 )
         clocks = {node: bool(self._parameter(node, "use_sim_time")) for node in NODES}
         if len(set(clocks.values())) > 1:
             simulated = " and ".join(node for node, own in clocks.items() if own)
             raise ExperimentError(f"Only {simulated} follows /clock: give all nodes the same use_sim_time.")
+        return settings
 
     def _progress(self, sentence: str, waited: float) -> Progress:
         state, share = self._state, self._share

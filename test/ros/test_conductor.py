@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import threading
 import time
 
 import pytest
 from ros_bench import own_domain, require_ros
 
+from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.errors import ConfigurationError, ExperimentError
 
 NODES = ("trajectory_publisher", "recorder", "identification")
@@ -31,6 +33,7 @@ class Nodes:
         from std_msgs.msg import Empty
 
         from drive_id.nodes.support.middleware import fast_dds
+        from drive_id.nodes.support.parameters import declare_settings
         from drive_id.nodes.support.qos import LATCHED
 
         self.lock = threading.Lock()
@@ -38,11 +41,11 @@ class Nodes:
         self.context = Context()
         with fast_dds():
             self.context.init(args=[], domain_id=domain)
-            made = {name: Node(name, namespace="/drive", context=self.context) for name in NODES}
+            given = ["--ros-args", "-p", "trajectory_publisher:i_max:=100.0"]
+            made = {name: Node(name, namespace="/drive", context=self.context, cli_args=given) for name in NODES}
         self.nodes = made
-        for name, value in (("trajectory_publisher", 100.0), ("identification", 100.0)):
-            made[name].declare_parameter("i_max", value)
-        made["trajectory_publisher"].declare_parameter("repeat", 1)
+        declare_settings(made["trajectory_publisher"], ExperimentSettings)
+        made["identification"].declare_parameter("i_max", 100.0)
         publisher, recorder, identification = made.values()
         self.parameter = Parameter
         for kind, name in (
@@ -72,6 +75,7 @@ class Nodes:
             self.calls, self.refused, self.slow, self.beats, self.recorded = [], set(), {}, [], []
             self.script, self.state = ["running", "running", "idle"], "idle"
             self.short = self.waiting = False
+            self.limits = {"current limit of the drive [A]": "inf", "speed limit of the drive [rad/s]": "1000"}
             self.playing, self.session, self.reason, self.goal = iter(()), 0, "", None
 
     def answer(self, name, **fields):
@@ -131,6 +135,7 @@ class Nodes:
         )
         level = DiagnosticStatus.WARN if self.waiting else DiagnosticStatus.OK
         values = [KeyValue(key="coverage", value="0.25"), KeyValue(key="fit: resistance [ohm]", value="0.1")]
+        values += [KeyValue(key=key, value=value) for key, value in self.limits.items()]
         self.diagnostics.publish(
             DiagnosticArray(
                 status=[
@@ -182,11 +187,11 @@ def conductor(**options):
         yield made
 
 
-def run_all(identify=None, **options):
+def run_all(identify=None, run=None, **options):
     from drive_id.ros.conductor import Goal
 
     with conductor(**options) as made:
-        return made.run(Goal("bag", identify=identify)), made.recorded
+        return made.run(Goal("bag", run or {}, identify=identify)), made.recorded
 
 
 def refused(code, text, **options):
@@ -301,6 +306,20 @@ def test_nodes_that_do_not_fit_are_refused_before_current_flows(nodes):
     assert nodes.calls == []
 
 
+def test_a_goal_beyond_a_limit_is_told_at_once_and_one_within_runs(nodes):
+    """Before anything is recorded or forgotten for it, and though the publisher warns of its own i_max."""
+    refused("limit", r"i_max is 101 A, more than the parameter of trajectory_publisher, 100 A\.$", run={"i_max": 101.0})
+    nodes.waiting = True
+    refused("limit", "i_max is 101 A", run={"i_max": 101.0})
+    nodes.limits |= {"current limit of the drive [A]": "20", "refused for": "limit"}
+    refused("limit", r"i_max is 30 A, above the current_limit of the drive, 20 A\.$", run={"i_max": 30.0})
+    refused("limit", "i_max is 100 A, above the current_limit")
+    refused("configuration", "duration is nan", run={"i_max": 15.0, "duration": math.nan})
+    assert nodes.calls == []
+    run_all(run={"i_max": 15.0})
+    assert nodes.calls[-1] == "recorder/stop"
+
+
 def test_a_latched_trip_is_told_before_anything_is_recorded(nodes):
     nodes.rest_in("tripped")
     refused("tripped", "trajectory_publisher has tripped")
@@ -327,7 +346,7 @@ def test_two_drives_in_one_namespace_are_refused(nodes):
 
 def test_a_silent_drive_is_told(nodes):
     nodes.waiting = True
-    refused("fault", r"After 4 s, still waiting for the drive: trajectory_publisher reports", timeout=4.0)
+    refused("fault", r"After 4 s, still waiting for the drive: trajectory_publisher reports\.$", timeout=4.0)
 
 
 def test_progress_counts_the_trajectory(nodes):

@@ -12,14 +12,19 @@ from typing import Any
 
 from drive_id.common.health import Health, Level
 from drive_id.core.experiment.feedback import DriveStatus, SampleBlock
+from drive_id.core.experiment.permission import LIMIT, permitted
 from drive_id.core.experiment.settings import ExperimentSettings, make_trajectory, total_duration
 from drive_id.core.experiment.state_machine import Experiment, ExperimentState, ReferenceBlock
 from drive_id.core.experiment.watchdog import Fault, Watchdog
-from drive_id.errors import ConfigurationError
+from drive_id.errors import DriveIdError
 from drive_id.types import NANOSECONDS, FloatArray
 
 _SESSIONS = itertools.count((secrets.randbits(47) << 16) + 1)
 """Sessions of this process: its runs are counted in the lowest 16 bits, the others tell whose they are."""
+CURRENT_LIMIT, SPEED_LIMIT = "current limit of the drive [A]", "speed limit of the drive [rad/s]"
+"""Values of the health: what the drive says of itself, infinite if it does not."""
+REFUSED_FOR = "refused for"
+"""Value of the health: ``limit`` where the drive is in order, and a run within its limits would start."""
 _CLEAR = "When the cause is gone, clear it by characterize --clear-fault, or by the service ~/clear_fault."
 
 
@@ -127,18 +132,14 @@ class SupervisedExperiment:
         return Answer("ok", f"Started: {self.plan()}.")
 
     def _configured(self, run: Mapping[str, Any]) -> tuple[str, str] | None:
-        """Configure a run; return code and sentence of why it is not possible, if so."""
+        """Configure a run; return code and sentence of why it is not possible, if so, and stay as before."""
+        watchdog = self._watchdog
         try:
-            settings = replace(self._settings, **run) if run else self._settings
-        except ConfigurationError as error:
-            return "configuration", f"Not started: {error}"
-        if settings.i_max > self._settings.i_max:
-            most = f"the parameter of trajectory_publisher, {self._settings.i_max:g} A"
-            return "limit", f"Not started: i_max is {settings.i_max:g} A, more than {most}."
+            settings = permitted(self._settings, run, watchdog.own_current_limit, watchdog.own_speed_limit)
+        except DriveIdError as error:
+            return error.code, f"Not started: {error}"
         if settings != self._experiment.settings:
             self._take(settings)
-        if (fault := self._watchdog.start_fault()) is not None:
-            return "limit", f"Not started: {fault.reason}"
         return None
 
     def _refused(self, now: int, steady: float) -> tuple[str, str] | None:
@@ -293,6 +294,8 @@ class SupervisedExperiment:
             "i_q [A]": f"{report.i_dq[1]:.4g}",
             "coverage": f"{report.coverage:.3f}" if settings.covers_disc else "",
             "clock offset [s]": f"{self._watchdog.clock_offset:.3f}",
+            CURRENT_LIMIT: f"{self._watchdog.own_current_limit:.9g}",
+            SPEED_LIMIT: f"{self._watchdog.own_speed_limit:.9g}",
         }
         if not math.isnan(report.bias):
             values["mean speed [rad/s]"] = f"{report.mean_speed:.4g} of {report.mean_speed_reference:.4g}"
@@ -303,8 +306,10 @@ class SupervisedExperiment:
             return Health(Level.ERROR, f"{report.reason}{flows} {_CLEAR}", values)
         if self._experiment.active:
             return Health(Level.OK, f"{report.state.value}: {self._progress(report)}.", values)
-        fault = self._watchdog.fault(now, steady) or self._watchdog.start_fault()
-        if fault is not None:
+        fault, of_limit = self._watchdog.fault(now, steady), self._watchdog.start_fault()
+        if fault is None and of_limit is not None and self._watchdog.knows_drive:
+            values[REFUSED_FOR] = LIMIT
+        if (fault := fault or of_limit) is not None:
             return Health(Level.WARN, f"A start would be refused: {fault.reason}", values)
         return Health(Level.OK, self._experiment.stop_reason or "Waiting for a start.", values)
 

@@ -14,6 +14,7 @@ from typing import Generic, TypeVar
 import numpy as np
 
 from drive_id.core.experiment.feedback import DriveStatus, PublishedReferences, SampleBlock
+from drive_id.core.experiment.permission import beyond_drive
 from drive_id.core.experiment.settings import ExperimentSettings
 from drive_id.core.signals.signal import SampleCount
 from drive_id.types import NANOSECONDS, FloatArray
@@ -268,7 +269,7 @@ class Watchdog:
     def speed_band(self) -> tuple[float, float]:
         """Lowest and highest speed allowed, rad/s; infinite where nobody limits it."""
         low, high = self.settings.speed_min, self.settings.speed_max
-        own = math.inf if self._status.last is None else _limit(None, self._status.last.speed_limit)
+        own = self.own_speed_limit
         high = own if high is None else min(high, own)
         return (-abs(high) if low is None else max(low, -own)), high
 
@@ -277,21 +278,24 @@ class Watchdog:
         """Largest amplitude that the drive says it follows, A; infinite if it does not say."""
         return math.inf if self._status.last is None else _limit(None, self._status.last.current_limit)
 
+    @property
+    def own_speed_limit(self) -> float:
+        """Highest electrical speed that the drive permits, rad/s; infinite if it does not say."""
+        return math.inf if self._status.last is None else _limit(None, self._status.last.speed_limit)
+
+    @property
+    def knows_drive(self) -> bool:
+        """Whether the drive has said what its limits are, or must before anything starts."""
+        return self.settings.require_status or self._status.last is not None
+
     def fault(self, now: int, steady: float) -> Fault | None:
         """Return the present fault, the most urgent one first."""
         return next((fault for fault in self._faults(now, steady) if fault is not None), None)
 
     def start_fault(self) -> Fault | None:
         """Return what only forbids a start: limits that are not known, or do not fit the drive."""
-        if self.settings.watch and math.isinf(self.speed_band[1]):
-            return Fault(
-                "speed_max is not set, and the drive reports no speed_limit: set speed_max, the highest electrical "
-                "speed at which the machine may be driven, in rad/s."
-            )
-        limit = self.own_current_limit
-        if self.settings.i_max > limit * (1 + 1e-6):
-            return Fault(f"i_max is {self.settings.i_max:g} A, above the current_limit of the drive, {limit:g} A.")
-        return None
+        reason = beyond_drive(self.settings, self.own_current_limit, self.own_speed_limit)
+        return None if reason is None else Fault(reason)
 
     def flows(self) -> bool:
         """Whether a current flows that no reference commands."""

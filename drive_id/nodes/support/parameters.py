@@ -6,12 +6,18 @@ import copy
 import dataclasses
 import math
 import typing
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    ParameterValue,
+    SetParametersResult,
+)
 from rclpy.node import Node
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter, parameter_value_to_python
 
 from drive_id.common.settings import from_mapping
 from drive_id.errors import ConfigurationError
@@ -76,12 +82,31 @@ def read_settings(node: Node, cls: type[Settings], changes: Iterable[Parameter] 
 
     Raises ConfigurationError when they are inconsistent.
     """
-    names = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # a settings dataclass
-    values = {name: node.get_parameter(name).value for name in names}
+    values = {name: node.get_parameter(name).value for name in _names(cls)}
     values |= {parameter.name: parameter.value for parameter in changes if parameter.name in values}
+    return _made(cls, values, node.get_name())
+
+
+def settings_of(cls: type[Settings], read: Callable[[list[str]], Iterable[ParameterValue]], node: str) -> Settings:
+    """Return the settings of another node, whose parameters of some names are ``read``.
+
+    Raises ConfigurationError when they are inconsistent, or the node lacks one.
+    """
+    names = _names(cls)
+    values = [parameter_value_to_python(value) for value in read(names)]
+    if len(values) < len(names):  # rclpy answers nothing at all where one is missing
+        raise ConfigurationError(f"{node} lacks some of its parameters: start it from the same version of drive_id.")
+    return _made(cls, dict(zip(names, values, strict=True)), node)
+
+
+def _names(cls: type[Settings]) -> list[str]:
+    return [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]  # a settings dataclass
+
+
+def _made(cls: type[Settings], values: Mapping[str, Any], node: str) -> Settings:
     hints = typing.get_type_hints(cls)
     plain = {name: _plain(value, hints[name]) for name, value in values.items()}
-    return from_mapping(cls, plain, f"the parameters of {node.get_name()}")
+    return from_mapping(cls, plain, f"the parameters of {node}")
 
 
 def on_change(

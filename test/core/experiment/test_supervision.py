@@ -802,6 +802,37 @@ def test_a_run_cannot_exceed_the_limits_of_the_node(bench):
     assert "above the current_limit of the drive" in bench.start()[1], "the run's radius went with the run"
 
 
+def test_a_refused_run_leaves_no_trace(bench):
+    bench.status = {"current_limit": 8.0}
+    bench.ticks(3)
+    before = bench.health(), bench.watched.report(bench.now, bench.steady)
+    assert before[0].values["refused for"] == "limit", "the drive is in order: whoever runs within limits need not wait"
+    for run in ({"i_max": 500.0}, {"i_max": 9.0}, {"trajectory": "zigzag"}, {"i_max": np.nan}, {"duration": 9.0}):
+        assert not bench.start(run=run)[0]
+        assert (bench.health(), bench.watched.report(bench.now, bench.steady).duration) == (
+            before[0],
+            before[1].duration,
+        )
+    assert bench.start(run={"i_max": 7.0}) == (True, "Started: lissajous within 7 A for 2 s.")
+    bench.ticks(3)
+    bench.stop()
+    bench.ticks(30)
+    before = bench.health()
+    assert "above the current_limit of the drive, 8 A." in bench.start(run={"i_max": 9.0})[1]
+    assert bench.health() == before
+    assert bench.start(run={"i_max": 7.0})[0]
+
+
+def test_a_drive_that_may_yet_state_its_limits_is_waited_for():
+    bench = Bench(dataclasses.replace(SETTINGS, speed_min=None, speed_max=None, require_status=False))
+    bench.sends = {"phase_currents", "resolver"}
+    bench.ticks(3)
+    assert (bench.health().level, bench.health().values.get("refused for")) == (Level.WARN, None)
+    bench.sends |= {"drive_status"}
+    bench.ticks(3)
+    assert bench.health().values["refused for"] == "limit"
+
+
 def test_lost_samples_are_counted(running):
     running.count += 30
     running.ticks(1)

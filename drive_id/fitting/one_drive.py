@@ -32,7 +32,7 @@ def of_one_drive(parts: Sequence[Part], tell: Progress) -> tuple[Evidence, tuple
     """Return what parts have in common: sums of all, excerpts, and what is to be said.
 
     Each part is fitted by itself and compared with the one before it in the same bag. Those that cannot be fitted are
-    left out, for nothing shows that they are of the same drive.
+    left out, for nothing shows that they are of the same drive. Bags are compared by the fit of all, which warns.
 
     Raises
     ------
@@ -45,6 +45,7 @@ def of_one_drive(parts: Sequence[Part], tell: Progress) -> tuple[Evidence, tuple
         chosen, remarks = _alike([part for part in parts if part.bag == bag], tell)
         kept += chosen
         said += remarks
+    kept.sort(key=lambda part: part.bag)  # the parts of a bag stay in order
     evidence = reduce(Evidence.merged, (part.evidence for part in kept))
     return evidence, bounded([each for part in kept for each in part.spans.samples()]), tuple(said)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import partial
 
@@ -10,6 +11,7 @@ import pytest
 from drive_bags import TOPICS, blocks_of
 from synthetic import reciprocal_flux, record, saturating_flux
 
+import drive_id
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import DriveChangedError
 from drive_id.files.messages.block_codec import encode_block
@@ -130,6 +132,61 @@ def test_two_drives_at_once_are_refused(drives, tmp_path):
                     writer.write(topic, data, block["stamp"])
     with pytest.raises(DriveChangedError, match="from one drive to another"):
         fitted(tmp_path / "bag")
+
+
+def told(found):
+    return [str(warning) for warning in found.warnings if warning.code == "unlike_parts"]
+
+
+@pytest.mark.parametrize(("method", "apart"), [("joint", False), ("psm", True)])
+def test_recordings_of_two_drives_are_told(drives, tmp_path, method, apart):
+    """Each is a bag of its own, of which no count tells anything."""
+    paths = [write(tmp_path / name, [drives[name]]) for name in ("first", "other")]
+    (said,) = told(fit_bags(Sources(paths, skip_bad=apart), None, replace(SETTINGS, method=method)))
+    assert re.match(r"In recording 2, psi_d differs by (20|19\.99).* %, psi_q by (20|19\.99).* % and R by 0\.0", said)
+
+
+def test_a_bag_of_another_drive_is_told_beside_one_in_which_the_drive_was_restarted(drives, tmp_path):
+    restarted = write(tmp_path / "restarted", [drives["first"], drives["hot"]])
+    paths = [restarted, write(tmp_path / "other", [drives["other"]])]
+    assert "In recording 3, psi_d differs by 20.0" in told(fit_bags(Sources(paths), None, SETTINGS))[0]
+
+
+@pytest.fixture(scope="module")
+def later():
+    """Recordings of the drive ``first`` under other conditions, by what they are."""
+
+    def warm(i_dq):
+        return saturating_flux(i_dq) - np.array([0.04 * 0.08, 0.0])
+
+    def another(t, i_max):
+        phase = 2 * np.pi * 0.7 * t
+        return i_max * np.stack([np.cos(phase) * np.sin(2 * np.pi * 5.3 * t), np.sin(phase)], axis=-1)
+
+    made = {
+        "hot": {"flux": warm, "resistance": 0.014},
+        "fast": {"speed": 800.0},
+        "backwards": {"speed": -150.0},
+        "weak": {"i_max": 100.0, "speed": 300.0},
+        "otherwise": {"current": another},
+    }
+    return {
+        name: record(**({"resistance": 0.010, "duration": 3.0, "noise": 0.1, "seed": 7} | given))
+        for name, given in made.items()
+    }
+
+
+@pytest.mark.parametrize("name", ["hot", "fast", "backwards", "weak", "otherwise"])
+def test_one_drive_under_other_conditions_is_no_other(drives, later, name):
+    assert told(drive_id.fit([drives["first"], later[name]], settings=SETTINGS)) == []
+
+
+def test_a_resistance_that_no_heat_explains_is_told_and_how_many_have_it(drives):
+    found = drive_id.fit([drives[name] for name in ("first", "hot", "double", "more", "double")], settings=SETTINGS)
+    (said,) = told(found)
+    assert said.startswith("In recording 3, ")
+    assert "and R by 99.8" in said
+    assert "This holds for 1 other recording as well." in said
 
 
 def stronger_reciprocal(i_dq):

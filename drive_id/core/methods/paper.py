@@ -17,6 +17,7 @@ from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.maps.flux_models import FluxModel
 from drive_id.core.methods.method import CURVE_POINTS, Estimate, Limits, check_sums
 from drive_id.core.methods.parameters import FitReport
+from drive_id.core.paper.recordings import differences
 from drive_id.core.paper.regression import RegressionSums
 from drive_id.core.paper.rows import VOLTAGE
 from drive_id.core.paper.solver import Jackknife, Solution, jackknife, sigma, solve
@@ -84,7 +85,11 @@ class PaperMethod:
             ),
             unexplained=float(solution.residual_rms / rms),
             outlying_time=_outlying_time(blocks, information.block_duration, solution),
-            warnings=(*_on_noise(evidence), *self._on_inverter(evidence, solution, spread, inside)),
+            warnings=(
+                *_on_recordings(information),
+                *_on_noise(evidence),
+                *self._on_inverter(evidence, solution, spread, inside),
+            ),
             error_modes=_error_modes(information, spread, grid, inside, error, curve),
         )
 
@@ -100,6 +105,24 @@ class PaperMethod:
         asymmetry = mirror_asymmetry(evidence, evidence.information.model, solution.gamma, inside)
         if not any(finding.code == "angle_offset" for finding in evidence.findings) and asymmetry > _LARGE_ASYMMETRY:
             yield Message("mirror_asymmetry", asymmetry=asymmetry)
+
+
+def _on_recordings(information: RegressionSums) -> Iterator[Message]:
+    """Tell of recordings that cannot be of the drive of the first one."""
+    recordings = information.recordings
+    if len(recordings) < 2:
+        return
+    found = differences(recordings, solve(information.total, information.rows, with_inverter=True))
+    others = found.of_another_drive()
+    if not others:
+        return
+    (d, q, r), (sigma_d, sigma_q, sigma_r) = found.value[others[0] - 1], found.sigma[others[0] - 1]
+    told = {"recording": others[0] + 1, "others": len(others) - 1 or None, "d": d, "q": q}
+    told |= {"sigma_d": sigma_d, "sigma_q": sigma_q}
+    if np.isfinite(sigma_r):
+        yield Message("unlike_parts.recording", r=r, sigma_r=sigma_r, **told)
+    else:
+        yield Message("unlike_parts.flux", **told)
 
 
 PAPER_METHODS = {origin.name: PaperMethod(origin.inverter) for origin in (PSM, JOINT)}

@@ -57,6 +57,11 @@ class RegressionSums:
         return np.array(self._blocks).reshape(-1, self._size, self._size)
 
     @property
+    def recordings(self) -> list[FloatArray]:
+        """Z'Z of the blocks of each recording, (blocks, 3 + P, 3 + P); one of all where there are too many."""
+        return np.split(self.blocks, self._starts[1:])
+
+    @property
     def total(self) -> FloatArray:
         """Z'Z of all rows, (3 + P, 3 + P), symmetric."""
         total = np.zeros((self._size, self._size))

@@ -34,14 +34,19 @@ def new_recording(directory: Path, name: str, now: datetime) -> Path:
     base = directory.expanduser().absolute()
     if not name:
         return free_path(base, now.strftime("recording_%Y-%m-%d_%H-%M-%S"))
+    check_name(name)
+    if _exists(base / name):
+        raise OutputError(f"{base / name} exists already: choose another name, or remove it.")
+    return base / name
+
+
+def check_name(name: str) -> None:
+    """Raise ConfigurationError unless a recording may have this name."""
     if len(name) > _LONGEST or not _NAME.fullmatch(name):
         raise ConfigurationError(
             f"'{_shown(name)}' is not a name for a recording: use letters, digits and _ . + -, begin with a letter or "
             f"digit, and use at most {_LONGEST} characters."
         )
-    if _exists(base / name):
-        raise OutputError(f"{base / name} exists already: choose another name, or remove it.")
-    return base / name
 
 
 def free_path(folder: Path, stem: str) -> Path:

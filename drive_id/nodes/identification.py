@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import sys
 import traceback
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 from drive_id_msgs.action import Identify as IdentifyGoal
 from drive_id_msgs.msg import FitReport, FluxMap, OperatingPoint
@@ -19,7 +20,7 @@ from drive_id.common.messages import Message
 from drive_id.common.quantity import counted
 from drive_id.core.accumulation.evidence import check_live
 from drive_id.core.fit_settings import FitSettings
-from drive_id.errors import InactiveError
+from drive_id.errors import DriveIdError, InactiveError
 from drive_id.live.identification.identification_settings import IdentificationSettings
 from drive_id.live.identification.identifier import DEACTIVATED, Identifier, Job, Reply, again
 from drive_id.live.identification.inbox import Inbox
@@ -49,6 +50,7 @@ from drive_id.nodes.support.signal_messages import KINDS
 from drive_id.nodes.support.topics.live import LiveTopics
 from drive_id.types import SCALARS, Progress
 
+Asked = TypeVar("Asked")
 _REQUEST_PERIOD = 0.1  # s between looks at the request under way, and at whether a background fit is due
 _OPERATING_PERIOD = 0.05  # s between looks at the operating points that have arrived
 _PATIENCE = 2.0  # s for a running fit to stop at the end of the process
@@ -80,6 +82,7 @@ class IdentificationNode(ManagedNode):
         on_change(self, FitSettings, lambda settings: check_live(settings.method), self._on_settings)
         self._topics = LiveTopics(self, self._identifier, self._inbox, settings.signals)
         self.paced.create(Command, "~/reset", self._on_reset)
+        self.paced.create(Identify, "~/check", self._on_check)
         folders = self._identifier.folders
         looks = Lookups(self, self.paced)
         looks.serve(ListResults, "~/list_results", partial(_list_results, folders))
@@ -158,9 +161,7 @@ class IdentificationNode(ManagedNode):
         if not request.bags:
             self._inbox.empty()
             dropped = self._inbox.warnings()
-        names = {name: getattr(request, field) for name, field in NAMES.items()}
-        further = {name: getattr(request, name) for name in ("i_max", "temperatures", "u_dc", "session")}
-        job = self._identifier.job(request.bags, request.method, request.signals, names, request.part, **further)
+        job = self._asked(self._identifier.job, request)
         life = self._identifier.life
         self._refitter.cancel()
 
@@ -170,6 +171,22 @@ class IdentificationNode(ManagedNode):
             return replace(reply, warnings=warnings, refit=reply.refit if life == self._identifier.life else None)
 
         return run
+
+    def _asked(self, what: Callable[..., Asked], request: Any) -> Asked:
+        """Return what the identifier makes of the fields of a request."""
+        names = {name: getattr(request, field) for name, field in NAMES.items()}
+        further = {name: getattr(request, name) for name in ("i_max", "temperatures", "u_dc", "session")}
+        return what(request.bags, request.method, request.signals, names, request.part, **further)
+
+    def _on_check(self, request: Any, response: Any) -> Any:
+        """Tell what a request would be refused for, before its bags exist."""
+        try:
+            if not self.active:
+                raise InactiveError(self.inactive())
+            self._asked(self._identifier.check, request)
+        except DriveIdError as error:
+            return self.answer("check", response, error.code, str(error))
+        return self.answer("check", response, response.CODE_OK, "Such bags can be identified.")
 
     def _said(self, response: Any, reply: Reply) -> Any:
         """Fill the response or result of a request that is over, and publish its map."""

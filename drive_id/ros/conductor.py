@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
+from drive_id_msgs import srv
 from drive_id_msgs.action import Identify
 from drive_id_msgs.msg import PublisherState, Resolver
 from drive_id_msgs.srv import Command, StartExperiment, StartRecording, StopRecording
@@ -30,6 +31,7 @@ SERVICES = {
     f"{PUBLISHER}/start_experiment": StartExperiment,
     f"{PUBLISHER}/stop_experiment": Command,
     f"{IDENTIFICATION}/reset": Command,
+    f"{IDENTIFICATION}/check": srv.Identify,
     **{f"{node}/get_parameters": GetParameters for node in NODES},
 }
 WAITING, TRAJECTORY, STOPPING, IDENTIFYING = ("waiting", "trajectory", "stopping", "identifying")
@@ -53,6 +55,12 @@ class Goal:
     run: dict[str, Any] = field(default_factory=dict)  # fields of ``StartExperiment``
     speeds: Sequence[float] = ()  # electrical, rad/s, one for each recording; empty: one recording at any speed
     identify: dict[str, Any] | None = None  # fields of ``Identify`` besides ``bags``; None: record only
+
+    @property
+    def recordings(self) -> list[str]:
+        """Their names; empty where they are named after the time."""
+        count = max(len(self.speeds), 1)
+        return [f"{self.name}_{number + 1}" if self.name and count > 1 else self.name for number in range(count)]
 
 
 @dataclass(frozen=True)
@@ -145,7 +153,8 @@ class Conductor(Calls):
         ExperimentError
             With the code of what went wrong; :attr:`recorded` tells what there is nevertheless.
         """
-        count = max(len(goal.speeds), 1)
+        names = goal.recordings
+        count = len(names)
         self.recorded, self._phase, self._share, self._part = Recording(), WAITING, 0.0, 1 / count
         self._wait_for_nodes(self.timeout)
         settings = self._check(goal)
@@ -156,8 +165,7 @@ class Conductor(Calls):
             self._phase, self._share = WAITING, number / count
             if speed is not None:
                 self._wait_for_speed(speed)
-            name = f"{goal.name}_{number + 1}" if goal.name and count > 1 else goal.name
-            self._record(name, goal.run, first=number == 0)
+            self._record(names[number], goal.run, first=number == 0)
         return None if goal.identify is None else self._identified(goal.identify)
 
     def run_experiment(self, name: str = "", **run: Any) -> Recording:
@@ -340,6 +348,8 @@ class Conductor(Calls):
                     f"{PUBLISHER} drives up to {settings.i_max:g} A and {IDENTIFICATION} maps up to {mapped:g} A: give "
                     "both the same i_max."
                 )
+        if goal.identify is not None:
+            self._required(f"{IDENTIFICATION}/check", bags=goal.recordings, **goal.identify)
         clocks = {node: bool(self._parameter(node, "use_sim_time")) for node in NODES}
         if len(set(clocks.values())) > 1:
             simulated = " and ".join(node for node, own in clocks.items() if own)

@@ -15,7 +15,8 @@ from std_msgs.msg import Empty
 from drive_id.common.health import Health
 from drive_id.common.settings import Checked, setting
 from drive_id.errors import DriveIdError, ExperimentError
-from drive_id.live.identification.identifier import Job, Reply, failed
+from drive_id.live.data_directory import check_name
+from drive_id.live.identification.identifier import Job, Reply, check_fields, failed
 from drive_id.live.identification.requests import Requests, Stage
 from drive_id.live.worker import Cancelled
 from drive_id.nodes.support.clocks import STEADY
@@ -33,7 +34,8 @@ from drive_id.types import Progress
 
 _REQUEST_PERIOD = 0.1  # s between looks at the goal under way
 _FEEDBACK_PERIOD = 0.5  # s
-_OF_FIT = ("method", "signals", "i_max", "temperatures", "u_dc", *NAMES.values())
+_OF_ALL_FITS = ("method", "i_max", "temperatures", "u_dc")
+_OF_FIT = (*_OF_ALL_FITS, "signals", *NAMES.values())
 """Fields of a goal that the fit gets as they are."""
 
 
@@ -49,6 +51,14 @@ class ConductingSettings(Checked):
     speed_time: float = setting(
         300.0, "For the shaft to reach each speed of a goal", unit="s", minimum=1.0, maximum=1e5
     )
+
+
+@dataclass(frozen=True)
+class GoalSettings(Checked):
+    """What a goal says to this node itself; all else is checked by the settings of the nodes that it is for."""
+
+    speeds: tuple[float, ...] = setting((), "Of each recording, electrical", unit="rad/s", minimum=-1e6, maximum=1e6)
+    lease_time: float = setting(0.0, "Longest time without a heartbeat; 0: none", unit="s", minimum=0.0, maximum=1e6)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +92,13 @@ class ExperimentNode(Node):
         self._requests.stop(STOP_TIME)
 
     def _job(self, request: Any) -> Job:
+        own = GoalSettings(tuple(request.speeds), request.lease_time)
         fit = {name: getattr(request, name) for name in _OF_FIT} if request.method != request.METHOD_NONE else None
-        goal = Goal(request.name, run_of(request), request.speeds, fit)
+        goal = Goal(request.name, run_of(request), own.speeds, fit)
+        for name in filter(None, goal.recordings):
+            check_name(name)
+        if fit is not None:  # by the node's own settings, before anything moves: see the conductor
+            check_fields(len(goal.recordings), **{name: fit[name] for name in _OF_ALL_FITS})
         self._step, self._beat = Step("The goal begins."), time.monotonic()
         return partial(self._experiment, goal, request.lease_time)
 

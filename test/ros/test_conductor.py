@@ -25,6 +25,7 @@ class Nodes:
         from drive_id_msgs.action import Identify
         from drive_id_msgs.msg import PublisherState
         from drive_id_msgs.srv import Command, StartExperiment, StartRecording, StopRecording
+        from drive_id_msgs.srv import Identify as Request
         from rclpy.action import ActionServer
         from rclpy.context import Context
         from rclpy.executors import SingleThreadedExecutor
@@ -57,6 +58,7 @@ class Nodes:
             StopRecording, "~/stop", self.answer("recorder/stop", uri="/data/bag", samples=7, dropped=2, duration=1.5)
         )
         identification.create_service(Command, "~/reset", self.answer("identification/reset"))
+        identification.create_service(Request, "~/check", self.check)
         self.server = ActionServer(identification, Identify, "~/identify", self.identify)
         publisher.create_subscription(Empty, "~/heartbeat", lambda _: self.beats.append(time.monotonic()), 10)
         recorder.create_subscription(Empty, "~/heartbeat", lambda _: self.recorded.append(self.calls[-1:]), 10)
@@ -94,6 +96,12 @@ class Nodes:
             return response
 
         return callback
+
+    def check(self, request, response):
+        self.asked = request
+        response.success, response.code = not request.signals, "configuration" if request.signals else "ok"
+        response.message = f"Signals file {request.signals} cannot be read." if request.signals else "Go on."
+        return response
 
     def identify(self, goal):
         from drive_id_msgs.action import Identify
@@ -318,6 +326,13 @@ def test_a_goal_beyond_a_limit_is_told_at_once_and_one_within_runs(nodes):
     assert nodes.calls == []
     run_all(run={"i_max": 15.0})
     assert nodes.calls[-1] == "recorder/stop"
+
+
+def test_what_the_fit_would_refuse_is_told_before_current_flows(nodes):
+    """By the node that fits: a signals file is on its machine."""
+    refused("configuration", r"check: Signals file /no\.yaml cannot", identify={"signals": "/no.yaml", "u_dc": [540.0]})
+    assert (list(nodes.asked.bags), list(nodes.asked.u_dc)) == (["bag"], [540.0])
+    assert nodes.calls == []
 
 
 def test_a_latched_trip_is_told_before_anything_is_recorded(nodes):

@@ -257,9 +257,13 @@ def test_goals_that_are_not_possible_are_refused(goal):
         ("configuration", {"trajectory": "zigzag"}),
         ("configuration", {"name": "../elsewhere"}),
         ("configuration", {"i_max": math.inf}),
+        ("configuration", {"i_max": math.nan}),
+        ("configuration", {"signals": "/no/such.yaml"}),
     ):
         status, result = goal(**fields).wait(ENDED)
         assert (status, result.code, result.output) == (ABORTED, code, ""), result.message
+        assert (list(result.bags), result.session) == ([], 0), "nothing has moved"
+        assert not result.message.endswith("..")
 
 
 @pytest.mark.slow  # two experiments in real time

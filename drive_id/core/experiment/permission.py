@@ -29,7 +29,7 @@ def permitted(
         With code ``limit``, when a limit forbids it.
     """
     wanted = run.get("i_max", settings.i_max)
-    if wanted > settings.i_max:
+    if settings.i_max < wanted < math.inf:
         most = f"the parameter of trajectory_publisher, {settings.i_max:g} A"
         raise ExperimentError(f"i_max is {wanted:g} A, more than {most}.", LIMIT)
     own = replace(settings, **run) if run else settings

@@ -212,12 +212,9 @@ class Identifier:
         DriveIdError
             When the request makes no sense, or the signals file cannot be read.
         """
-        fit = replace(self.live.settings, method=method or self.live.settings.method)
-        given: dict[str, Any] = {name: text for name, text in names.items() if text}
-        conditions = {"temperatures": tuple(temperatures), "u_dc": tuple(u_dc)}
-        conditions = {name: values for name, values in conditions.items() if values}
-        given |= {**conditions, **({"i_max": i_max} if i_max else {})}
-        named = replace(fit, **given)
+        conditions = {"temperatures": temperatures, "u_dc": u_dc}
+        conditions = {name: values for name, values in conditions.items() if len(values)}
+        named = as_requested(self.live.settings, method=method, i_max=i_max, **names, **conditions)
         if bags:
             if part:
                 raise ConfigurationError("The request names a part and bags: a part is of the live samples only.")
@@ -238,6 +235,15 @@ class Identifier:
         surest = self.refits.surest if live is self.live and fit == self.live.settings else None
         work = partial(_fit_live, snapshot, earlier, named, self.settings, self._forgotten, part, surest, session)
         return partial(_guarded, self.folders, work)
+
+    def check(self, bags: Sequence[str], *request: Any, **further: Any) -> None:
+        """Raise DriveIdError for what a request would be refused for whose bags do not exist yet, see :meth:`job`.
+
+        It takes no time, so whoever is about to record them can ask before anything moves.
+        """
+        self.job(bags, *request, **further)
+        conditions = {name: further[name] for name in ("temperatures", "u_dc") if name in further}
+        as_requested(self.live.settings, **conditions).check_recordings(len(bags))
 
     def refit(self) -> RefitJob | None:
         """Return a fit of the live samples in the background if one is due, see :class:`Refits`."""
@@ -312,6 +318,19 @@ class Identifier:
             resolver=replace(usual.resolver, topic=resolver),
             optional={name: replace(our_scalar(name), topic=topic) for name, topic in self._scalar_topics.items()},
         )
+
+
+def as_requested(fit: FitSettings, **fields: Any) -> FitSettings:
+    """Return settings with those fields of a request that are neither 0 nor empty; raises ConfigurationError."""
+    arrays = {name for name in fields if isinstance(getattr(fit, name), tuple)}
+    given: dict[str, Any] = {name: tuple(value) if name in arrays else value for name, value in fields.items()}
+    given = {name: value for name, value in given.items() if value}
+    return replace(fit, **given)
+
+
+def check_fields(recordings: int, **fields: Any) -> None:
+    """Raise ConfigurationError unless a fit of so many recordings may have these fields of a request."""
+    as_requested(FitSettings(), **fields).check_recordings(recordings)
 
 
 def again(last: LastMap) -> Reply:

@@ -8,6 +8,7 @@ from recorder_blocks import PERIOD, START, TOPICS, block
 
 from drive_id.common.health import Level
 from drive_id.core.fit_settings import FitSettings
+from drive_id.errors import ConfigurationError
 from drive_id.files.messages.block_codec import decode_block, encode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS
 from drive_id.live.identification.identification_settings import IdentificationSettings
@@ -30,6 +31,22 @@ def play(identifier, blocks, change=lambda _, number, values: (number * 100, val
             first, changed = change(section, number, [np.array(value) for value in values])
             stamp = START + round(number * 100 * PERIOD * 1e9)
             identifier.receive(section, encode_block(stamp, first, PERIOD, changed, "drive"))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("temperatures", [20.0], "temperatures has 1 entry for 2 recordings"),
+        ("u_dc", [540.0, -1.0], "u_dc is -1.0 V"),
+        ("signals", "/no/such.yaml", "Signals file /no/such.yaml cannot be read"),
+        ("method", "FULL", "method is 'FULL'"),
+    ],
+)
+def test_a_request_is_judged_before_its_recordings_exist(identifier, field, value, said):
+    bags = ["not_there_1", "not_there_2"]
+    identifier.check(bags, method="full", temperatures=[20.0, 60.0])
+    with pytest.raises(ConfigurationError, match=said):
+        identifier.check(bags, **{"method": "joint", field: value})
 
 
 def told(identifier):

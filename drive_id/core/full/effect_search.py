@@ -17,6 +17,7 @@ from scipy import sparse
 
 from drive_id.core.full.delay import Delay, estimate_delay
 from drive_id.core.full.effects.catalogue import CATALOGUE, without
+from drive_id.core.full.effects.columns import EffectColumns
 from drive_id.core.full.effects.effect import parts
 from drive_id.core.full.linearized import (
     DELAY,
@@ -129,14 +130,21 @@ class _Rules:
         return solver.solve(self.variant(found))
 
     def linearized(self, state: EffectSearch, found: _Set) -> EffectSearch:
-        """Return a set, linearized about its fit in a state until it settles, with a ripple that this uncovers."""
+        """Return a set, linearized about its fit in a state."""
         about = self.solved(state.solver, found)
-        key = about.spec, about.estimate.tobytes()
-        known = self.known.pop(key, None)
-        if known is None:
-            columns = replace(state.found.columns, estimate=about.estimate)
-            known = settled(self.sums, about.spec, columns, about.residual_sigma)
-            known = with_hidden_ripple(self.sums, known, self.noise)
+        columns = replace(state.found.columns, estimate=about.estimate)
+        return self._settled(state, about.spec, columns, about.residual_sigma)
+
+    def carried(self, state: EffectSearch, found: _Set) -> EffectSearch:
+        """Return the set of a state over other windows: about the solution itself, the residuals may grow."""
+        return self._settled(state, self.variant(found), state.found.columns, state.solution.residual_sigma)
+
+    def _settled(self, state: EffectSearch, spec: ModelSpec, columns: EffectColumns, left: float) -> EffectSearch:
+        """Return a variant, linearized until it settles, with a ripple that this uncovers."""
+        key = spec, columns.estimate.tobytes()
+        known = self.known.pop(key, None) or with_hidden_ripple(
+            self.sums, settled(self.sums, spec, columns, left), self.noise
+        )
         while len(self.known) >= _LINEARIZATIONS:  # they are large
             del self.known[next(iter(self.known))]
         self.known[key] = known
@@ -420,7 +428,7 @@ def _over_all(
     state: EffectSearch, chosen: _Set, first: Callable[[], EffectSearch], rules: _Rules
 ) -> tuple[EffectSearch, _Set, _Search]:
     """Repeat a search over few windows over those of the rules, from where it ended."""
-    state = rules.linearized(state, chosen) if chosen.members else first()
+    state = rules.carried(state, chosen) if chosen.members else first()
     return _about_its_best(state, first, rules, chosen)
 
 
@@ -449,7 +457,7 @@ def _among_rivals(state: EffectSearch, search: _Search, chosen: _Set, of_few: _R
     }
     errors = {each: one.solver.left_out(one.solution.spec)[:, 0] for each, one in states.items()}
     best = min(errors, key=lambda each: float(errors[each][predictable(errors[each])].mean()))
-    return (state if best is chosen else rules.linearized(states[best], best)), best
+    return (state if best is chosen else rules.carried(states[best], best)), best
 
 
 def _unconfirmed(state: EffectSearch, search: _Search, chosen: _Set) -> str | None:

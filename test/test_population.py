@@ -45,7 +45,6 @@ def test_a_drive_of_the_population_on_a_free_shaft():
 
 
 @pytest.mark.accuracy
-@pytest.mark.usefixtures("population")
 @pytest.mark.parametrize("number", [37, 67])
 def test_a_planned_swing_keeps_below_the_trips(number):
     """A reluctance machine and one of weak magnets that tripped before plans expected poor current controllers."""

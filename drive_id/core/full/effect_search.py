@@ -27,10 +27,11 @@ from drive_id.core.full.linearized import (
     misfits,
     remains,
     settled,
+    settled_about,
     with_hidden_ripple,
 )
 from drive_id.core.full.model import PENALTIES, FullModel, ModelSpec
-from drive_id.core.full.reduced import Reduced, Subset, best_delay
+from drive_id.core.full.reduced import Reduced, best_delay
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.standard_errors import SIGNIFICANCE, STUDENT
 from drive_id.core.full.window_sums import FOLDS, WindowSums
@@ -169,13 +170,9 @@ class _Search:
         """Delay, samples, of a drive without one."""
         return self.rules.plain.delay
 
-    def subset(self, names: frozenset[str]) -> Subset:
-        """Return a solved set."""
-        return self.reduced.subset(names)
-
     def of(self, names: frozenset[str], delay: float) -> _Set:
         """Return a set with its score."""
-        squares, terms = self.subset(names).squares(delay), 0
+        squares, terms = self.reduced.subset(names).squares(delay), 0
         if delay != self.usual:
             terms = 1 if (2 * delay).is_integer() else 2
         score = float(np.log(squares + self.rules.least)) + _PRICE * terms + _prices(names, self.rules.parts)
@@ -203,7 +200,7 @@ class _Search:
     def _delays(self, names: frozenset[str]) -> Iterator[float]:
         yield self.usual
         if self.rules.turn > 0:
-            value = float(np.clip(best_delay(self.subset(names).left)[0], -MOST_DELAY, MOST_DELAY))
+            value = float(np.clip(best_delay(self.reduced.subset(names).left)[0], -MOST_DELAY, MOST_DELAY))
             yield from {value, *Delay(value).between} - {self.usual}
 
     def allows(self, names: frozenset[str], delay: float) -> bool:
@@ -215,7 +212,7 @@ class _Search:
             return False
         if self.rules.one_speed and any(CATALOGUE[name].of_speeds for name in names):
             return False
-        found, most = self.subset(names), _LATEST * self.rules.noise.period
+        found, most = self.reduced.subset(names), _LATEST * self.rules.noise.period
         late = names & _LATE & _ROTATING
         if self.rules.one_speed and any(not 0 <= found.value(name, delay)[0] <= most for name in late):
             return False
@@ -224,7 +221,7 @@ class _Search:
         return all(self._explains_misfit(names, name, delay) for name in names if CATALOGUE[name].of_link)
 
     def _explains_misfit(self, names: frozenset[str], name: str, delay: float) -> bool:
-        before, after = (self.subset(each).squares(delay) for each in (frozenset(without(names, name)), names))
+        before, after = (self.reduced.subset(each).squares(delay) for each in (frozenset(without(names, name)), names))
         return before - after > _OF_MISFIT * (before - self.explained)
 
     def run(self) -> _Set:
@@ -288,13 +285,13 @@ def search_effects(
     plain, model = solution.spec, sums.model
     few = sums.sampled(max(_FEW, _PER_COLUMN * model.summed.size))
     columns = first_columns(sums, solution, noise, pole_pairs)
-    plain_fit = settled(few, plain, columns, solution.residual_sigma)
+    plain_fit = settled_about(few, columns, solution)
     own, rows = model.effect("remainder").start, max(plain_fit.solution.rows, 1.0)
     solver, one_speed = plain_fit.solver, columns.steady is not None
     least = _LEAST_VOLTAGE**2 / _PRICE * rows * solver.total_voltage + float(solver.total[own, own])
     rules = _Rules(few, plain, noise, tuple(allowed), turn, one_speed, parts(sums.kept()), least)
     start, every = _about_lateness(_about_decimation(plain_fit, rules), rules), rules.among(sums)
-    whole_fit = cache(lambda: plain_fit if few is sums else settled(sums, plain, columns, solution.residual_sigma))
+    whole_fit = cache(lambda: plain_fit if few is sums else settled_about(sums, columns, solution))
     for number in count(1):
         state, chosen, search = _about_its_best(start, lambda: plain_fit, rules)
         if few is not sums:
@@ -327,8 +324,7 @@ def _about_decimation(first: EffectSearch, rules: _Rules) -> EffectSearch:
     if not (rules.turn and remains(first.solver) and misfits(first.solver.model, first.solution, rules.noise)):
         return first
     about = first.solver.solve(replace(rules.plain, delay=_EVERY_SECOND))
-    columns = replace(first.found.columns, estimate=about.estimate)
-    other = settled(rules.sums, about.spec, columns, about.residual_sigma)
+    other = settled_about(rules.sums, first.found.columns, about)
     left, by_other = (state.solver.delay(state.solver.solve(rules.plain))[2] for state in (first, other))
     return other if by_other < (1 - _CLOSE) * left else first
 
@@ -343,10 +339,8 @@ def _about_lateness(first: EffectSearch, rules: _Rules) -> EffectSearch:
     search, states, least = rules.search_about(first), [first], _FAR * rules.noise.period / rules.noise.turn
     for name in sorted(_LATE.intersection(rules.allowed)):
         best = search.best(frozenset({name}))
-        if best and abs(float(search.subset(best.names).value(name, best.delay)[0])) > least:
-            about = rules.solved(first.solver, best)
-            columns = replace(first.found.columns, estimate=about.estimate)
-            states.append(settled(rules.sums, about.spec, columns, about.residual_sigma))
+        if best and abs(float(search.reduced.subset(best.names).value(name, best.delay)[0])) > least:
+            states.append(settled_about(rules.sums, first.found.columns, rules.solved(first.solver, best)))
     return min(states, key=lambda state: state.solution.residual_rms)
 
 
@@ -448,13 +442,10 @@ def _among_rivals(state: EffectSearch, search: _Search, chosen: _Set, of_few: _R
     ]
     rules, kept = search.rules, search.rules.sums.kept()
     fits = {each: rules.solved(state.solver, each) for each in (*others, chosen)}
-    about = {each: replace(state.found.columns, estimate=fit.estimate) for each, fit in fits.items()}
-    if not any(about[each].bends(rules.variant(each), kept) for each in others):
+    columns = state.found.columns
+    if not any(replace(columns, estimate=fits[each].estimate).bends(fits[each].spec, kept) for each in others):
         return state, chosen
-    states = {
-        each: settled(of_few.sums, of_few.variant(each), columns, fits[each].residual_sigma)
-        for each, columns in about.items()
-    }
+    states = {each: settled_about(of_few.sums, columns, fit) for each, fit in fits.items()}
     errors = {each: one.solver.left_out(one.solution.spec)[:, 0] for each, one in states.items()}
     best = min(errors, key=lambda each: float(errors[each][predictable(errors[each])].mean()))
     return (state if best is chosen else rules.carried(states[best], best)), best
@@ -468,7 +459,7 @@ def _unconfirmed(state: EffectSearch, search: _Search, chosen: _Set) -> str | No
     if chosen.names:
         smooth = state.solver.reduced(replace(plain, penalty=PENALTIES[-1])).subset(chosen.names)
     for name in sorted(chosen.names):
-        own, rough = state.solver.model.effect(name), search.subset(chosen.names).value(name, chosen.delay)
+        own, rough = state.solver.model.effect(name), search.reduced.subset(chosen.names).value(name, chosen.delay)
         change = smooth.value(name, chosen.delay) - rough
         squares, moved = (float(x @ state.solver.total[own, own] @ x) for x in (rough, change))
         if moved > _MOST_BY_PENALTY**2 * squares:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from drive_id.core.full.delay import Delay, several_speeds
+from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.effects.columns import EffectColumns
 from drive_id.core.full.effects.effect import divided
 from drive_id.core.full.link_ripple import ripple_frequency
@@ -26,8 +27,7 @@ _TRIED = 0.1
 stand for a part of it."""
 _GROWN = 1.03
 """Growth of the residuals at which a linearization is worse than that before; by chance they may grow less."""
-_ATTUNED = {"link_ripple", "copper_heating"}
-"""Effects with a frequency or a time constant, which is found anew with each linearization."""
+_ATTUNED = {name for name, effect in CATALOGUE.items() if effect.attuned}
 _SETTLING, _SETTLED = 5, 0.01
 """Most linearizations, and the relative decrease of the residuals below which they end."""
 
@@ -93,6 +93,11 @@ def settled(sums: WindowSums, spec: ModelSpec, columns: EffectColumns, left: flo
     start = _iterated(sums, spec, columns, left)
     moved = _iterated(sums, spec, start.found.columns, move=True) if move else start
     return moved if _GROWN * moved.solution.residual_rms < start.solution.residual_rms else start
+
+
+def settled_about(sums: WindowSums, columns: EffectColumns, about: FullSolution) -> EffectSearch:
+    """Solve the variant of a fit about that fit, see :func:`settled`."""
+    return settled(sums, about.spec, replace(columns, estimate=about.estimate), about.residual_sigma)
 
 
 def _iterated(

@@ -86,7 +86,7 @@ class PaperMethod:
             unexplained=float(solution.residual_rms / rms),
             outlying_time=_outlying_time(blocks, information.block_duration, solution),
             warnings=(
-                *_on_recordings(information),
+                *self._on_recordings(information, solution),
                 *_on_noise(evidence),
                 *self._on_inverter(evidence, solution, spread, inside),
             ),
@@ -106,23 +106,23 @@ class PaperMethod:
         if not any(finding.code == "angle_offset" for finding in evidence.findings) and asymmetry > _LARGE_ASYMMETRY:
             yield Message("mirror_asymmetry", asymmetry=asymmetry)
 
-
-def _on_recordings(information: RegressionSums) -> Iterator[Message]:
-    """Tell of recordings that cannot be of the drive of the first one."""
-    recordings = information.recordings
-    if len(recordings) < 2:
-        return
-    found = differences(recordings, solve(information.total, information.rows, with_inverter=True))
-    others = found.of_another_drive()
-    if not others:
-        return
-    (d, q, r), (sigma_d, sigma_q, sigma_r) = found.value[others[0] - 1], found.sigma[others[0] - 1]
-    told = {"recording": others[0] + 1, "others": len(others) - 1 or None, "d": d, "q": q}
-    told |= {"sigma_d": sigma_d, "sigma_q": sigma_q}
-    if np.isfinite(sigma_r):
-        yield Message("unlike_parts.recording", r=r, sigma_r=sigma_r, **told)
-    else:
-        yield Message("unlike_parts.flux", **told)
+    def _on_recordings(self, information: RegressionSums, solution: Solution) -> Iterator[Message]:
+        """Tell of recordings that cannot be of the drive of the first one."""
+        recordings = information.recordings
+        if len(recordings) < 2:
+            return
+        whole = solution if self.inverter else solve(information.total, information.rows, with_inverter=True)
+        found = differences(recordings, whole)
+        others = found.of_another_drive()
+        if not others:
+            return
+        (d, q, r), (sigma_d, sigma_q, sigma_r) = found.value[others[0] - 1], found.sigma[others[0] - 1]
+        told = {"recording": others[0] + 1, "others": len(others) - 1 or None, "d": d, "q": q}
+        told |= {"sigma_d": sigma_d, "sigma_q": sigma_q}
+        if np.isfinite(sigma_r):
+            yield Message("unlike_parts.recording", r=r, sigma_r=sigma_r, **told)
+        else:
+            yield Message("unlike_parts.flux", **told)
 
 
 PAPER_METHODS = {origin.name: PaperMethod(origin.inverter) for origin in (PSM, JOINT)}

@@ -211,7 +211,9 @@ def _numbers(found: Any, name: str, path: Path, decimal: str) -> NDArray[Any]:
         return np.asarray(found.astype("datetime64[ns]").astype(np.int64))
     found = found.mask(found.astype(str).str.strip() == name)  # its name again, above the next capture
     pointed = found if decimal == "." else found.astype(str).str.replace(decimal, ".")
-    numbers = pd.to_numeric(pointed.replace(_FORTRAN, r"\1E\2", regex=True), errors="coerce")
+    numbers = pd.to_numeric(pointed, errors="coerce")
+    if numbers.isna().any():
+        numbers = pd.to_numeric(pointed.replace(_FORTRAN, r"\1E\2", regex=True), errors="coerce")
     if numbers.notna().mean() > 0.5:
         return np.asarray(numbers, np.float64)
     texts = found.dropna().astype(str).str.strip()

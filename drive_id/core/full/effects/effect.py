@@ -16,6 +16,8 @@ from drive_id.core.frames import ComplexArray
 from drive_id.core.full.windows import Windows
 from drive_id.types import TINY, FloatArray, IntArray
 
+_LATENESS = 1.5
+"""Of the currents by which firmware compensates, sample periods: it takes those of the sample before, and holds."""
 MOST_RUNS, MOST_PARTS = 4, 8
 """Most runs with separate mechanical angles, and most parts of the data with separate temperatures."""
 CERTAIN = 3.0
@@ -107,6 +109,13 @@ class Linearized(Ends):
         """Return f'(i)^-1 x of x (N, 2)."""
         d, q = (self.through(np.full_like(x, unit)) for unit in (1, 1j))
         return np.asarray(((x.conj() * q).imag + 1j * (d.conj() * x).imag) / (d.conj() * q).imag)
+
+    @cached_property
+    def compensations(self) -> list[ComplexArray]:
+        """``[h(i)_s]`` (N,) at the ends for each shape h of the drop, i being late by what firmware compensates by."""
+        windows, ago = self.windows, _LATENESS / 2 * self.windows.period[:, None]
+        shapes = self.shapes(frames.phases(self.turn * (self.currents - ago * self.rate)))  # (N, 2, 3, S)
+        return [windows.drop_scale * between(frames.space_vector(each)) for each in np.moveaxis(shapes, -1, 0)]
 
     @cached_property
     def drop(self) -> ComplexArray:
@@ -221,6 +230,8 @@ class DriveEffect(ABC):
     """Whether it shows only where speeds differ."""
     of_recorded_runs: ClassVar[bool] = False
     """Whether its phase holds for the recorded runs only, so that no simulation can have it."""
+    attuned: ClassVar[bool] = False
+    """Whether its columns have a frequency or a time constant, which is found anew with each linearization."""
     beside: ClassVar[str] = ""
     """Effect beside which alone it is tried."""
     cause: ClassVar[str] = ""

@@ -36,7 +36,7 @@ class CopperHeating(DriveEffect):
     """
 
     width = 3
-    at_rest, of_recordings = True, True
+    at_rest, of_recordings, attuned = True, True, True
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return [at.windows.current * course for course in at.warmth]

@@ -92,7 +92,7 @@ class LinkRipple(DriveEffect):
     """
 
     width = 2 * MOST_RUNS
-    of_link, at_rest, of_recordings, of_recorded_runs = True, True, True, True
+    of_link, at_rest, of_recordings, of_recorded_runs, attuned = True, True, True, True, True
 
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return known.runs <= MOST_RUNS and not known.link

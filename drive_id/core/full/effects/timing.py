@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported, between
 from drive_id.core.full.integrals import LAGS
@@ -16,8 +15,6 @@ from drive_id.types import TINY, FloatArray
 
 _EARLIEST = 0.8
 """By which currents may be early, sample periods: the column holds below 1."""
-_LATENESS = 1.5
-"""Of the currents by which firmware compensates, sample periods: it takes those of the sample before, and holds."""
 _MOST_TURNED = 0.25
 """Angle, rad, by which a late angle or current may turn the flux."""
 _OFF_MIDDLE = 0.25
@@ -130,7 +127,7 @@ class LateCompensation(DriveEffect):
     at_rest, positive = True, True
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        *others, widest = _compensations(at)[: 2 * self.width : 2]
+        *others, widest = at.compensations[: 2 * self.width : 2]
         return [widest, *(other - widest for other in others)]
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
@@ -148,18 +145,11 @@ class LateShape(DriveEffect):
     width, beside = 4, "late_compensation"
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        shapes = _compensations(at)[: 2 * self.width]
+        shapes = at.compensations[: 2 * self.width]
         return [shape - shapes[-2] for shape in shapes[1::2]]
 
     def report(self, _found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield from ()
-
-
-def _compensations(at: Linearized) -> list[ComplexArray]:
-    """Return ``[h(i)_s]`` (N,) at the ends, of the late currents, for each shape h of the drop."""
-    windows, ago = at.windows, _LATENESS / 2 * at.windows.period[:, None]
-    shapes = at.shapes(frames.phases(at.turn * (at.currents - ago * at.rate)))  # (N, 2, 3, S)
-    return [windows.drop_scale * between(frames.space_vector(each)) for each in np.moveaxis(shapes, -1, 0)]
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.model import EFFECTS
-from drive_id.core.result.identify import identify, score
+from drive_id.core.result.identify import identify, score, true_flux
 from drive_id.fitting.simulated import run_experiment
 
 pytestmark = pytest.mark.accuracy
@@ -32,6 +32,8 @@ FLUX, RESISTANCE = 0.05, 0.5
 """Largest errors of the flux (NRMSE) and of R beyond 2 standard errors, %."""
 DEVIATION = 1.3
 """MAD of the simulated current, effects included, over that of the noise of the measured one."""
+SMALL = {"resolver_offset", "current_offset_alpha", "current_offset_beta"}
+"""Entries that are always told."""
 NAMES = {
     "iron_loss_conductance", "iron_loss_hysteresis", "iron_loss_current",
     "current_latency", "angle_latency", "current_rotation", "resistance_rise", "resistance_by_speed",
@@ -377,15 +379,31 @@ def test_a_periodic_dc_link_that_was_not_recorded_is_corrected(share, frequency)
     assert max(score(found, simulation.truth)) < 1e-3
 
 
+@pytest.mark.parametrize(("name", "course"), [("ipm", lambda t: 0.01 * t), ("spm", lambda t: 0.005 * (t > 0.5))])
+def test_a_dc_link_that_drifts_or_steps_is_no_heat_and_its_mean_is_uncertain(name, course):
+    """A drift of 1 % passed for heat, at two standard errors, and a step of 0.5 % was silently 4.7 of them off."""
+    simulation = run_experiment(machine_map(name), replace(GOOD, speeds=(700.0,)), seconds=SECONDS)
+    samples = simulation.samples
+    fallen = course(np.linspace(0.0, 1.0, len(samples)))
+    found = fitted(replace(samples, u_abc=samples.u_abc / (1 - fallen)[:, None]))
+    effects = [entry for entry in found.calibrations if entry.applied and entry.name not in SMALL]
+    assert [entry.name for entry in effects] == ["link_ripple"]
+    assert np.ptp(fallen) / 3 < effects[0].value < np.ptp(fallen)
+    error = found.flux_map.psi - true_flux(simulation.truth, found.flux_map.grid())
+    known = found.flux_map.inside & np.isfinite(error).all(axis=-1)
+    sigma = np.stack([found.flux_map.sigma_d, found.flux_map.sigma_q], axis=-1)
+    assert np.sqrt(np.mean((error / sigma)[known] ** 2)) < 1.2
+    (warning,) = found.report.warnings
+    assert "a step or a drift looks the same" in warning
+
+
 def test_a_magnet_that_gains_flux_while_the_copper_heats_is_doubted():
-    """A DC link that falls by 2.4 % and was not recorded passed for heat, and the flux was up to 3.9 % off."""
+    """A gain of the current sensors that rises by 2 % passes for heat of the wrong sign, beside a link that varies."""
     simulation = run_experiment(IPM, replace(GOOD, speeds=(800.0,), seed=1), seconds=8.0)
     samples = simulation.samples
-    fall = np.linspace(0.0, 0.024, len(samples))
-    found = fitted(replace(samples, u_abc=samples.u_abc / (1 - fall)[:, None]))
+    found = fitted(replace(samples, i_abc=samples.i_abc * np.linspace(1.0, 1.02, len(samples))[:, None]))
     assert 100 * max(score(found, simulation.truth)) > 2 * FLUX
     assert any("heat raises R and lowers the flux" in sentence for sentence in found.report.warnings)
-    assert "misfit" in [warning.code for warning in found.report.warnings], "0.3 % of the voltage is more than noise"
 
 
 def test_noise_of_the_log_of_a_constant_link_is_told_from_a_link_that_varies():

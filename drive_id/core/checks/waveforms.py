@@ -28,6 +28,9 @@ _REVERSED = 0.2  # distance of its gain from -1
 _AT_LIMIT = 2e-6  # relative width of a limit: float32 rounds to 6e-8
 _CLIPPED = 0.015  # share of samples there: a sinusoid is that close to its peak for 0.06 %
 _CLAMPED = 0.9  # share of samples with one phase at the limit: of a sinusoid near it, each phase is there by itself
+_AT_CORNER = 0.01  # angle to a corner of the hexagon, rad, and length of no vector, by the longest: digits of a log
+_SINGLE = 0.98  # share of samples there: of a modulated voltage, a few percent pass by
+_LIKE_VECTORS = 0.5  # range of their lengths by the longest: a link that varies by more feeds no drive
 _STUCK = 50  # equal samples in a row, more than a coarse converter repeats while the others move
 _MOVED = 0.3  # range of the other phases meanwhile, by the largest value
 _NEAR_LIMIT = 0.999  # of the largest value, where a phase that stands still is clipped
@@ -48,14 +51,18 @@ def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message
         return
     duty_cycles = [*_duty_cycles(runs, u_abc, i_max)]
     yield from duty_cycles or _voltage_scale(u_abc)
-    quantized = [finding for name, x in (("current", i_abc), ("voltage", u_abc)) for finding in _quantized(name, x)]
+    single = [*_single_vectors(u_abc)]
+    yield from single
+    signals = [("current", i_abc)] if single else [("current", i_abc), ("voltage", u_abc)]
+    quantized = [finding for name, x in signals for finding in _quantized(name, x)]
     yield from quantized
     if not quantized:
         yield from _stuck(runs)
         yield from _clipped_currents(i_abc)
     yield from _scale(runs, i_max)
     yield from _zero_sequence(i_abc, i_max)
-    yield from _clipped_voltages(u_abc)
+    if not single:
+        yield from _clipped_voltages(u_abc)
     yield from _offsets(runs, i_max)
 
 
@@ -176,6 +183,16 @@ def _clipped_currents(i_abc: FloatArray) -> Iterator[Message]:
             if share > _CLIPPED:
                 yield Message("current_clipped", phase=phase, limit=limit, share=share)
                 return
+
+
+def _single_vectors(u_abc: FloatArray) -> Iterator[Message]:
+    """Yield voltages that are one vector of the inverter in each sample: one of six directions, or none."""
+    u_s = frames.space_vector(u_abc)
+    size = np.abs(u_s)
+    active = u_s[size > _AT_CORNER * float(size.max())]
+    share = float(np.mean(np.abs(np.angle(active**6)) / 6 < _AT_CORNER))
+    if share > _SINGLE and np.ptp(np.abs(active)) < _LIKE_VECTORS * size.max():
+        yield Message("single_vectors", share=share)
 
 
 def _clipped_voltages(u_abc: FloatArray) -> Iterator[Message]:

@@ -36,6 +36,8 @@ _LEAST_MIRRORED = 0.3
 """Least range of i_q with mirror images, relative to i_max."""
 _LEAST_LOST = 1e-3
 """Share of the voltages that a filter takes from which on it is warned of: what moves the flux by 0.1 %."""
+_OF_VOLTAGES = ("lost", "level")
+"""What entries tell of a gain common to all voltages that is not known, as a share."""
 _AT_A_TIME = 32
 """Changes of the map whose asymmetry is formed at a time."""
 _MIRROR = np.array([1.0, -1.0])
@@ -310,11 +312,11 @@ def common_gain(calibrations: Sequence[Calibration]) -> float:
 def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArray) -> FloatArray:
     """Return the changes (size, K) of the estimate by faults of the sensors that show in nothing but their company.
 
-    Those are gain errors common to the phases, as large as their mismatch or as what a filter takes of the voltages,
-    and an offset of the angle as large as a skew of the machine makes it look. A phase with the gain 1 + e has a
-    mismatch of abs(e) / 3 and adds e / 3 to the mean gain. Only the former can be seen, so the latter is as uncertain
-    as the former is large: of independent errors, both have the same variance. Cross-talk between sensors turns the
-    currents as well.
+    Those are gain errors common to the phases, as large as their mismatch, as what a filter takes of the voltages, or
+    as a slow variation of a DC link that was not recorded, whose mean is not known better; and an offset of the angle
+    as large as a skew of the machine makes it look. A phase with the gain 1 + e has a mismatch of abs(e) / 3 and adds
+    e / 3 to the mean gain. Only the former can be seen, so the latter is as uncertain as the former is large: of
+    independent errors, both have the same variance. Cross-talk between sensors turns the currents as well.
 
     Parameters
     ----------
@@ -333,9 +335,9 @@ def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArra
         """Return the change (N, 2) of the flux by one (N, 2) of the currents, A."""
         return np.asarray(np.einsum("nab,nb->na", jacobian(model.flux, estimate[model.map], i_dq), change))
 
-    lost = next((float(entry.message.values.get("lost", 0.0)) for entry in found if entry.name == "voltage_delay"), 0.0)
-    if VOLTAGE_MISMATCH in values or lost:
-        of_voltage[:] = np.hypot(values.get(VOLTAGE_MISMATCH, 0.0), lost) * estimate
+    told = [float(entry.message.values.get(key, 0.0)) for entry in found for key in _OF_VOLTAGES]
+    if scale := float(np.linalg.norm([values.get(VOLTAGE_MISMATCH, 0.0), *told])):
+        of_voltage[:] = scale * estimate
         of_voltage[model.effects] = 0.0
     if of_currents:
         # the same voltages at other currents: R i and f(i) are stretched along i

@@ -126,7 +126,8 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
     out: list[Calibration] = []
     drop = float(fit.model.shapes.coarse(np.array(fit.model.i_max)) @ fit.model.coarse_drop(estimate))
     slopes, links = jacobian(fit.model.flux, estimate[fit.model.map], np.zeros((1, 2))), _links(fit)
-    parts = _parts(fit.selection.search.sums.kept(), columns.divided)
+    kept = fit.selection.search.sums.kept()
+    parts, longest = _parts(kept, columns.divided), _longest_run(kept)
     for taken in found.taken:
         if taken.name not in fit.spec.effects:
             continue
@@ -149,6 +150,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             link=columns.link,
             links=links,
             ripple=columns.ripple,
+            turns=columns.ripple * longest,
             time_constant=np.inf if columns.winding is None else columns.winding.constant,
             parts=parts,
         )
@@ -184,6 +186,12 @@ def _links(fit: FullFit) -> tuple[float, float]:
     weights = np.bincount(whiles, np.abs(voltage) ** 2)
     means = np.bincount(whiles, products)[weights > 0] / weights[weights > 0]
     return (float(means.min()), float(means.max())) if len(means) else (np.nan, np.nan)
+
+
+def _longest_run(kept: Sequence[Windows]) -> float:
+    """Return the duration of the longest run without a gap, s."""
+    run, time = (np.concatenate([getattr(windows, name) for windows in kept]) for name in ("run", "time"))
+    return max(float(np.ptp(time[run == number])) for number in np.unique(run))
 
 
 def _parts(kept: Sequence[Windows], divided: str) -> tuple[dict[str, float], ...]:

@@ -31,7 +31,7 @@ from drive_id.core.full.linearized import (
     with_hidden_ripple,
 )
 from drive_id.core.full.model import PENALTIES, FullModel, ModelSpec
-from drive_id.core.full.reduced import Reduced, best_delay
+from drive_id.core.full.reduced import Reduced, best_delay, delayed
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.standard_errors import SIGNIFICANCE, STUDENT
 from drive_id.core.full.window_sums import FOLDS, WindowSums
@@ -228,11 +228,23 @@ class _Search:
         """Return the set of the least score."""
         start = self.of(frozenset(), self.usual)
         found, beam = [self.best(start.names) or start], [start]
-        for _ in range(_DEEP):
+        for least in self._least_scores():
+            if min(each.score for each in found) <= least:
+                break
             names = {each.names | {name} for each in beam for name in self.rules.allowed if name not in each.names}
             beam = self._best_of(names, _WIDE)
             found += beam[:1]
         return min(found, key=lambda each: each.score)
+
+    def _least_scores(self) -> FloatArray:
+        """Return the scores (D,) that no set of 1 to D members falls below.
+
+        It leaves no less than all effects together with any delay, and pays for its members.
+        """
+        left, prices = self.reduced.subset(frozenset(self.rules.allowed)).left, sorted(map(_price, self.rules.allowed))
+        usual = delayed(self.usual)
+        squares = min(best_delay(left)[1], float(usual @ left @ usual))
+        return np.asarray(np.log(max(squares, 0.0) + self.rules.least) + np.cumsum(prices)[:_DEEP])
 
     def without(self, found: _Set, member: str) -> _Set:
         """Return a set less one of its members, and what comes beside that only."""

@@ -16,6 +16,8 @@ _BANDS = (
     *((0.995 * nominal, 1.005 * nominal) for nominal in (100.0, 120.0, 300.0, 360.0, 600.0, 720.0)),
 )
 """Slow control of the supply, and ripple of rectified mains, whose frequency may be 0.5 % off, Hz."""
+_SLOWEST = 0.5
+"""Turns of the slowest variation within the longest run: a drift of 1 % passed for heat, and was 0.2 % of the flux."""
 _STRETCH = 60.0
 """Of each run, s, over which frequencies are compared: the number of frequencies grows with it."""
 _STEPS_PER_TURN = 3.0
@@ -45,11 +47,13 @@ def ripple_frequency(
     first = np.full(run.max() + 1, np.inf)
     np.minimum.at(first, run, windows.time)
     begun = windows.time - first[run]
+    (lowest, highest), *mains = _BANDS
+    bands = [(min(lowest, _SLOWEST / float(begun.max())), highest), *mains]
     step = 1 / (_STEPS_PER_TURN * min(_STRETCH, float(begun.max())))
     if near is None:
-        tried = np.concatenate([np.arange(low, high + step, step) for low, high in _BANDS])
+        tried = np.concatenate([np.arange(low, high + step, step) for low, high in bands])
         near = float(tried[np.argmax(_saved(model, estimate, windows.part(begun <= _STRETCH), tried))])
-    low, high = min(_BANDS, key=lambda band: max(band[0] - near, near - band[1]))
+    low, high = min(bands, key=lambda band: max(band[0] - near, near - band[1]))
     finer = step * np.arange(-1 - 1 / _FINER, 1 + 1.5 / _FINER, 1 / _FINER)
     tried = np.clip(near, low + finer[-1], high - finer[-1]) + finer  # beyond a band, a ripple would stand for a gain
     saved = _saved(model, estimate, windows, tried)

@@ -478,6 +478,23 @@ def test_discontinuous_pwm_is_named(drives):
     assert f"one phase is clamped at {limit:.4g} V" in finding
 
 
+def test_voltages_that_are_single_vectors_of_the_inverter(drives):
+    """The vector that keeps the integral nearest to that of a modulated voltage, while the link varies by a percent."""
+    u_s = drives["spm"].u_abc @ (2 / 3 * np.exp(2j * np.pi / 3 * np.array([0, 1, -1])))
+    vectors = 1.3 * np.abs(u_s).max() * np.append(np.exp(1j * np.pi / 3 * np.arange(6)), 0.0)
+    chosen, missed = np.zeros_like(u_s), 0j
+    for k, wanted in enumerate(u_s):
+        missed += wanted
+        chosen[k] = vectors[np.abs(missed - vectors).argmin()]
+        missed -= chosen[k]
+    chosen *= 1 + 0.01 * np.sin(np.arange(len(u_s)) / 300)
+    u_abc = (chosen[:, None] * np.exp(-2j * np.pi / 3 * np.array([0, 1, -1]))).real
+    codes = {finding.code for finding in found(replace(drives["spm"], u_abc=u_abc))}
+    assert "single_vectors" in codes
+    assert not codes & {"voltage_clipped", "phase_quantized"}
+    assert "single_vectors" not in {finding.code for finding in found(drives["spm"])}
+
+
 def test_a_stuck_phase(ipm):
     i_abc, u_abc = ipm.i_abc.copy(), ipm.u_abc.copy()
     i_abc[5000:5300, 1] = i_abc[5000, 1]

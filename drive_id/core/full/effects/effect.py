@@ -171,6 +171,7 @@ class Reported:
     link: float  # mean DC-link voltage, V; NaN where it is not known
     links: tuple[float, float]  # lowest and highest mean of a second, V, likewise
     ripple: float  # Hz
+    turns: float  # of the ripple within the longest run
     time_constant: float  # of the winding's heat, s; infinite where it stays
     parts: tuple[dict[str, float], ...]  # recording, and time of its data where a pause ends within, s, of each part
 

@@ -31,6 +31,8 @@ _MOST_SHARE = 0.5
 """Beyond none or all of the drop that may seem to follow the link: the curve is that at its mean."""
 _MOST = 0.2
 """Amplitude of a ripple, relative to the link, beyond which a drive would have tripped."""
+_FEW_TURNS = 3.0
+"""Turns of a ripple within a run up to which it may stand for a step or a drift, after which the mean is another."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,11 @@ class LinkRipple(DriveEffect):
         return at.in_runs(RippleShape.of(at.windows).columns(at.ripple).T) if at.ripple else []
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield found.entry("link_ripple", *found.amplitude, "1", frequency=found.ripple)
+        if found.turns > _FEW_TURNS:
+            yield found.entry("link_ripple", *found.amplitude, "1", frequency=found.ripple)
+        else:
+            told = {"span": 1.0 / found.ripple, "level": found.amplitude[0]}
+            yield replace(found.entry("link_ripple", *found.amplitude, "1", "link_ripple.slow", **told), doubtful=True)
 
 
 @dataclass(frozen=True)

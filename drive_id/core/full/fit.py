@@ -281,9 +281,9 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
     undecided = _with_undecided(solver, uncorrected, selection)
     by_curve = _among_curves(solver, solution, batches, crossed)
     by_magnets = _by_magnets(solver, solution, batches)
-    open_effects = np.column_stack([undecided, by_magnets, *left_out.values(), *by_rivals.values()])
+    open_effects = np.column_stack([*undecided.values(), by_magnets, *left_out.values(), *by_rivals.values()])
     columns = [(name, np.column_stack([each])) for name, each in (*within, ("open", open_effects), ("curve", by_curve))]
-    by_open = {DELAY: by_delay, selection.search.found.undecided: undecided, _MAGNETS: by_magnets} | left_out
+    by_open = {DELAY: by_delay} | undecided | {_MAGNETS: by_magnets} | left_out
     return _Judged(
         uncorrected=uncorrected, solution=solution, changes=np.hstack([each for _, each in columns]),
         sources=tuple(name for name, each in columns for _ in each.T), energy=energy, times=times,
@@ -365,15 +365,15 @@ def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> F
     return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate
 
 
-def _with_undecided(solver: Solver, solution: FullSolution, selection: Selection) -> FloatArray:
-    """Return the change (size,) of the estimate with the effect of which the data leave open whether it is there."""
-    name, model, spec = selection.search.found.undecided, solver.model, solution.spec
-    if not name or name in spec.effects or not spec.reciprocal:
-        return np.zeros(model.size)
-    effects = tuple(sorted((*spec.effects, name)))
-    change = solver.solve(replace(spec, effects=effects)).estimate - solution.estimate
-    change[model.effect(name)] = 0.0
-    return change
+def _with_undecided(solver: Solver, solution: FullSolution, selection: Selection) -> dict[str, FloatArray]:
+    """Return the change (size,) of the estimate with each effect of which the data leave open whether it is there."""
+    model, spec, out = solver.model, solution.spec, {}
+    for name in selection.search.found.undecided if spec.reciprocal else ():
+        if name not in spec.effects:
+            effects = tuple(sorted((*spec.effects, name)))
+            out[name] = solver.solve(replace(spec, effects=effects)).estimate - solution.estimate
+            out[name][model.effect(name)] = 0.0
+    return out
 
 
 def _by_magnets(solver: Solver, solution: FullSolution, batches: FloatArray) -> FloatArray:

@@ -360,7 +360,7 @@ def test_an_effect_whose_size_depends_on_an_open_one_stays(unequal, with_gains, 
     own = before.model.effect(name)
     change = np.zeros(before.model.size)
     change[own] = before.solution.estimate[own]
-    monkeypatch.setattr(full_fit, "_with_undecided", lambda *_: change)
+    monkeypatch.setattr(full_fit, "_with_undecided", lambda *_: {"iron_loss": change})
     found = fitted(unequal)
     assert found.spec.effects == (name,)
     assert np.all(sigma(found.assessment.changes[own]) >= np.abs(change[own]))
@@ -373,8 +373,22 @@ def test_what_an_effect_that_is_left_out_would_change_is_uncertain(unequal, with
     monkeypatch.setattr(full_fit, "_weakest", lambda *_: next(weak, None))
     without = fitted(unequal)
     assert with_gains.spec.effects and not without.spec.effects  # noqa: PT018
+    assert_open(with_gains, without)
+
+
+@pytest.mark.accuracy
+def test_what_an_effect_that_data_left_out_do_not_confirm_would_change_is_uncertain(unequal, with_gains, monkeypatch):
+    """Hysteresis in twelve segments of random steps: R was 22 % off at 5.3 of its errors, and nothing was said."""
+    monkeypatch.setattr(effect_search, "_unconfirmed", lambda _, __, chosen: next(iter(sorted(chosen.members)), None))
+    without = fitted(unequal)
+    assert not without.spec.effects
+    assert_open(with_gains, without)
+
+
+def assert_open(found, without):
+    """The change of the map by what one fit found is within the standard errors of one without."""
     own = without.model.map
-    change = np.abs(with_gains.solution.estimate - without.solution.estimate)[own]
+    change = np.abs(found.solution.estimate - without.solution.estimate)[own]
     large = change > 0.1 * change.max()
     assert np.all(sigma(without.assessment.changes[own])[large] > 0.9 * change[large])
 

@@ -26,6 +26,8 @@ _INDEFINITE = 0.1
 """Share of the map without positive definite inductances at which it is condemned, with a simulation that diverges. Of
 288 random drives one is above 0.04: 0.48, with 57 % of flux error."""
 _INDEFINITE_IN_ITSELF = 0.25  # the same without such a simulation
+_MINOR = {"voltage_clipped", "phase_quantized", "single_vectors", "speed_drift", "outlier"}
+"""Findings that move a map by percents: alone, they make no result impossible."""
 _DECIMATED = (-0.55, -0.22)  # delays of the voltages, samples, of a log with every n-th sample: -(n - 1)/(2 n)
 _DECIMATED_TURN = np.deg2rad(4.0)  # per sample, at least
 
@@ -75,8 +77,8 @@ def condemned(evidence: Evidence, estimate: Estimate, mad: tuple[float, float], 
 
 
 def because(evidence: Evidence, code: str, **values: float) -> Message:
-    """Return an error with the first finding of the checks as its cause, if there is one."""
-    cause = evidence.findings[0] if evidence.findings else None
+    """Return an error with the first finding of the checks as its cause, if there is one that moves a map by so much."""
+    cause = next((finding for finding in evidence.findings if finding.code not in _MINOR), None)
     return Message(code, "error", cause=cause and f"{cause[0].lower()}{cause[1:]}", **values)
 
 

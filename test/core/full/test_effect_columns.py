@@ -16,6 +16,7 @@ from full_design import design
 from synthetic import saturating_flux
 
 from drive_id.core import frames
+from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.effects.columns import EffectColumns
 from drive_id.core.full.effects.link import RippleShape
 from drive_id.core.full.integrals import LAGS
@@ -371,6 +372,13 @@ def test_a_tracked_angle_lags_by_acceleration_and_jerk(estimate):
     )
     columns = EffectColumns(MODEL, known, 1.0, np.nan, None)(accelerated)
     close(windows, columns[:, EFFECTS["angle_tracking"].start], (plus - minus) / 2e-6, NEAR)
+
+
+@pytest.mark.parametrize(("hertz", "plausible"), [(60.0, True), (5.0, True), (0.003, False)])
+def test_a_tracking_loop_that_is_slower_than_any_is_none(hertz, plausible):
+    """At two constant speeds, one of 3 mHz stood for hysteresis, and 44 % of the voltage was unexplained: refused."""
+    known = np.array([(2 * np.pi * hertz) ** -2])
+    assert CATALOGUE["angle_tracking"].plausible(known, 0.1, 1e-4) == plausible
 
 
 @pytest.mark.parametrize(("number", "constant"), [(0, 0.1), (2, 0.4)])

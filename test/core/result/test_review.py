@@ -118,8 +118,9 @@ def test_a_map_that_explains_too_little_is_refused_with_the_likeliest_cause(good
     samples = replace(part, u_abc=rng.permutation(part.u_abc))
     with pytest.raises(DataError, match="unexplained, and no order of phases"):
         identify([samples], settings)
-    cause = Message.told("The cable is loose: fix it.", "x")
-    for found, said in (((), "There is no valid map: check"), ((cause,), "most likely, the cable is loose: fix it")):
+    cause, minor = Message.told("The cable is loose: fix it.", "x"), Message.told("It is wet: dry it.", "speed_drift")
+    named = "most likely, the cable is loose: fix it"
+    for found, said in (((), "valid map: check"), ((minor,), "valid map: check"), ((minor, cause), named)):
         monkeypatch.setattr(Prescan, "findings", lambda *_, found=found: found)
         with pytest.raises(UnexplainedError, match=said):
             identify([samples], settings)

@@ -21,6 +21,8 @@ _OFF_MIDDLE = 0.25
 """Most time between sampling and the middle of the PWM period, periods: further off, legs switch."""
 _DAMPED = 1.7
 """Twice the damping ratio of a tracking loop: 1.4 to 2 are usual."""
+_SLOWEST_LOOP = 2.0
+"""Least natural frequency of a tracking loop, Hz: those of resolver-to-digital converters and observers are 20 and more."""
 _LARGEST_LAG = 0.2
 """Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
 _OPPOSED = 0.1
@@ -81,7 +83,10 @@ class AngleTracking(DriveEffect):
     is 1 / w^2.
     """
 
-    positive, cause = True, "angle"
+    cause = "angle"
+
+    def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:  # noqa: D102
+        return bool(0 <= value[0] < 1 / (2 * np.pi * _SLOWEST_LOOP) ** 2)
 
     def waves(self, at: Ends) -> list[FloatArray]:  # noqa: D102
         acceleration, jerk = at.windows.acceleration, at.windows.jerk

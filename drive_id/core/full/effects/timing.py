@@ -22,7 +22,7 @@ _OFF_MIDDLE = 0.25
 _DAMPED = 1.7
 """Twice the damping ratio of a tracking loop: 1.4 to 2 are usual."""
 _SLOWEST_LOOP = 2.0
-"""Least natural frequency of a tracking loop, Hz: those of resolver-to-digital converters and observers are 20 and more."""
+"""Least natural frequency of a tracking loop, Hz: those of converters and observers are 20 and more."""
 _LARGEST_LAG = 0.2
 """Largest plausible share of the flux that lags behind the current, by eddy currents in magnets and sleeves."""
 _OPPOSED = 0.1

@@ -77,7 +77,7 @@ def condemned(evidence: Evidence, estimate: Estimate, mad: tuple[float, float], 
 
 
 def because(evidence: Evidence, code: str, **values: float) -> Message:
-    """Return an error with the first finding of the checks that moves a map by so much as its cause, if there is one."""
+    """Return an error with the first finding of the checks that moves a map by that much as its cause, or none."""
     cause = next((finding for finding in evidence.findings if finding.code not in _MINOR), None)
     return Message(code, "error", cause=cause and f"{cause[0].lower()}{cause[1:]}", **values)
 

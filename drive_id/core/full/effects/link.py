@@ -60,7 +60,8 @@ class DcLink(DriveEffect):
         elif share > 0.5 and high > (1 + _LEVELS) * low:
             key, told = "dc_link_share.levels", {"low": low, "high": high}
             told |= {"rise": found.link / low - 1, "fall": found.link / high - 1}
-        entry = found.entry("dc_link_share", share, sigma, "1", key, mean=found.link, **told)
+        level = 0.5 * abs(share) * (high / low - 1)  # the link at which the commands are right is one of those met
+        entry = found.entry("dc_link_share", share, sigma, "1", key, mean=found.link, level=level, **told)
         yield replace(entry, doubtful=bool(key) and doubtful)
 
 

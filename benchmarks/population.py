@@ -62,7 +62,8 @@ CAUSES = {
     ),
     "inverter": (
         "devices", "drop_asymmetry*", "wide_curve", "drop_negative", "voltage_error_negative", "misfit.small_currents",
-        "late_compensation", "late_shape", "phase_drop", "inverter_drop_[abc]", "drop_of_phase",
+        "late_compensation", "late_shape", "reference_compensation", "phase_drop", "inverter_drop_[abc]",
+        "drop_of_phase",
     ),
     "dc": (
         "dc_link*", "link_*", "device_sag", "drop_by_link", "drop_by_sag", "inverter_drop_by_link", "inverter_drop_sag",

@@ -27,6 +27,7 @@ class Stretch:
 
     i_abc: FloatArray
     before: FloatArray  # currents of the sample before, turned with the rotor
+    wanted: FloatArray  # references of the currents, or the currents where they are not known
     i_s: ComplexArray
     u_s: ComplexArray
     i_dq: ComplexArray
@@ -115,6 +116,7 @@ def integrated(
     stretch = Stretch(
         i_abc=i_abc[later],
         before=earlier[later],
+        wanted=_wanted(samples, new, i_abc[later]),
         i_s=_complex(i_s)[later],
         u_s=_complex(u_s)[later],
         i_dq=_complex(i_dq)[later],
@@ -129,6 +131,14 @@ def integrated(
         magnet=samples.or_unknown("magnet_temperature")[new],
     )
     return stretch, Reached(path[-1].copy(), sums[-1].copy(), lagged[-1].copy())
+
+
+def _wanted(samples: Samples, new: slice, i_abc: FloatArray) -> FloatArray:
+    """Return the references (N, 3) of the phase currents, or the currents where they are not known, A."""
+    if samples.i_dq_reference is None:
+        return i_abc
+    wanted = frames.to_abc(samples.i_dq_reference[new], samples.angle[new])
+    return np.where(np.isfinite(wanted), wanted, i_abc)
 
 
 @compiled(

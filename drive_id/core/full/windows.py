@@ -143,6 +143,8 @@ class Windows(Terms):
     gaps: FloatArray  # (N,), sum of the gaps since the start of the recording, s
     # (N, L + 1, 3), integrals of the magnitudes of the coarse shapes, s, and last of the phase currents, As
     rectified: FloatArray
+    # (N, L), integrals of the coarse shapes minus those for the references of the currents, s; 0 where there are none
+    by_reference: ComplexArray
     # (N, L, 7), int h'(i) x of the phase currents for the coarse shapes h, x = j i_s, conj(i_s), j conj(i_s), 1, j,
     # e^{j theta} and j e^{j theta}: by how much errors of the currents change their integrals, s, the last four s/A
     sensed: ComplexArray
@@ -411,8 +413,12 @@ class WindowCutter:
         near, (one, other) = stretch.part(slice(first, last)), (ends - first).T
         rectified = self._rectified(near, shapes[0][first // grain : (last - 1) // grain + 1])
         sensed = near.sensed(period, self._shapes.coarse.scales)
+        wanted = self._shapes.coarse.integrals(near.wanted[::grain], period * grain)
+        terms = self._terms(stretch, shapes, begin, end)
+        of_references = wanted[other // grain] - wanted[one // grain]
         return Windows(
-            **vars(self._terms(stretch, shapes, begin, end)) | {"short": np.arange(len(begin)) >= whole},
+            **vars(terms) | {"short": np.arange(len(begin)) >= whole},
+            by_reference=frames.space_vector(self._shapes.coarse_of(terms.shape) - of_references),
             gaps=np.full(len(begin), self._gaps),
             rectified=rectified[other // grain] - rectified[one // grain],
             sensed=sensed[other] - sensed[one],

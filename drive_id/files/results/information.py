@@ -34,7 +34,7 @@ from drive_id.files.results.folder import check_absent, replace_file
 from drive_id.types import SCALARS, Samples
 
 FORMAT = "drive_id/information"
-FORMAT_VERSION = 14
+FORMAT_VERSION = 15
 _SIGNALS = ("stamp", "i_abc", "u_abc", "angle", "speed", "run_starts")
 _OPTIONAL = ("i_dq_reference", *SCALARS)
 _DIGEST = "sha256"

@@ -88,6 +88,11 @@ def plain_current(t):
     return turning(t) * current(t)
 
 
+def wanted_current(t):
+    """Return the references, A: the currents lag behind them by 2 ms."""
+    return current(t + 2e-3)
+
+
 @dataclass(frozen=True)
 class Drive:
     """What an effect changes: functions of time, in the stator frame."""
@@ -115,6 +120,7 @@ class Drive:
             angle=np.angle(np.exp(1j * (SPEED * t + self.angle_error(t)))),
             speed=np.full(len(t), SPEED),
             sample_period=PERIOD,
+            i_dq_reference=frames.as_pairs(wanted_current(t)),
             dc_link_voltage=U_DC * (1 + 0.01 * np.cos(LINK_TURN * t)) if link else None,
         )
 
@@ -168,6 +174,16 @@ def sampled_early(x):
         return R * later + drop_of(later) - drop_of(i_s)
 
     return Drive(resistive=at_edges)
+
+
+def compensated_by_references(x):
+    """Compensate x V of a shape of the drop by the references."""
+
+    def left(t, i_s):
+        shape, wanted = (MODEL.shapes(frames.phases(each))[..., 6] for each in (i_s, turning(t) * wanted_current(t)))
+        return R * i_s + x * frames.space_vector(shape - wanted)
+
+    return Drive(resistive=left)
 
 
 def late_compensation(x, shares=(0, 0, 0, 0, 0, 0, 1, 0, 0, 0)):
@@ -250,6 +266,7 @@ CASES = {
     "angle_latency": (0, lambda x: Drive(angle_error=lambda t: np.full_like(t, -x * SPEED)), 2e-5),
     "late_compensation": (0, late_compensation, 1e-5),
     "late_shape": (3, lambda x: late_compensation(x, (0, 0, 0, 0, 0, 0, -1, 1, 0, 0)), 1e-5),
+    "reference_compensation": (0, compensated_by_references, 0.1),
     "sampling_instant": (0, sampled_early, 1e-6),
     "flux_lag": (0, lambda x: Drive(psi=lambda t: plain_flux(t) - x * turning(t) * by_time(dq_flux, t)), 2e-5),
     **{f"flux_lag_{1e3 * lag:g}ms": (0, lambda x, lag=lag: lagging(x, lag), 0.01) for lag in LAGS},

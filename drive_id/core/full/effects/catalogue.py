@@ -34,6 +34,7 @@ from drive_id.core.full.effects.timing import (
     Latency,
     LateShape,
     LongFluxLag,
+    ReferenceCompensation,
     SamplingInstant,
 )
 from drive_id.core.full.integrals import LAGS
@@ -49,6 +50,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         AngleTracking("angle_tracking"),
         LateCompensation("late_compensation"),
         LateShape("late_shape"),
+        ReferenceCompensation("reference_compensation"),
         SamplingInstant("sampling_instant"),
         FluxLag("flux_lag"),
         *(LongFluxLag(f"flux_lag_{1e3 * lag:g}ms", lag) for lag in LAGS),

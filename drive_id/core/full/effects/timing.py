@@ -158,6 +158,24 @@ class LateShape(DriveEffect):
 
 
 @dataclass(frozen=True)
+class ReferenceCompensation(DriveEffect):
+    """The drive compensates the drop by the references of the currents, in coarse shapes h: ``int h(i) - h(i_ref)``.
+
+    The unknowns are as those of :class:`LateCompensation`.
+    """
+
+    width = 4
+    at_rest, positive = True, True
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        *others, widest = (at.windows.drop_scale[:, None] * at.windows.by_reference).T
+        return [widest, *(other - widest for other in others)]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield found.entry("reference_compensation", found.value[0], found.sigma[0], "V")
+
+
+@dataclass(frozen=True)
 class SamplingInstant(DriveEffect):
     """Currents are sampled before the middle of the PWM period: their mean is less by ``L^-1 e`` times that time.
 

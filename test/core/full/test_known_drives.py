@@ -90,6 +90,19 @@ def test_a_compensation_by_late_phase_currents_is_corrected():
 
 
 @pytest.mark.accuracy
+def test_a_compensation_by_references_is_corrected():
+    """By step references, the flux was 3 % and R 123 % off, and a decimated log and a lag of the flux were named."""
+    plain = drive()
+    ahead = frames.to_dq(plain.i_abc, plain.angle)
+    ahead = np.concatenate([ahead[10:], np.repeat(ahead[-1:], 10, axis=0)])  # the currents follow a millisecond later
+    wanted = frames.to_abc(ahead, plain.angle)
+    result = fitted(replace(plain, u_abc=plain.u_abc - 0.8 * bent(wanted), i_dq_reference=ahead))
+    assert found(result, "reference_compensation").value == pytest.approx(0.8 * 4.0, rel=0.1)
+    assert not [each for each in result.calibrations if each.name == "late_compensation"]
+    right(result)
+
+
+@pytest.mark.accuracy
 def test_a_late_compensation_along_a_wide_ramp_leaves_the_flux_open():
     """A flux and the fundamental of the compensation look alike: 0.3 % at 3 to 6 standard errors by coarse shapes."""
     plain = drive()

@@ -188,6 +188,12 @@ def coarse_plans(monkeypatch):
         monkeypatch.setattr(planner, name, size)
 
 
+@pytest.fixture
+def plain_reports(monkeypatch):
+    """Leave the pictures out of reports, which take half of their time: test_report_page.py looks at whole ones."""
+    monkeypatch.setattr("drive_id.reporting.page.report.figures_of", lambda *_: {})
+
+
 @pytest.fixture(scope="session")
 def fitted(bag):
     """Its fit, nothing written."""

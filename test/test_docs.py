@@ -32,7 +32,7 @@ def folder(bag, tmp_path, monkeypatch):
 
 
 @pytest.mark.slow  # pages simulate and fit
-@pytest.mark.usefixtures("coarse_plans")
+@pytest.mark.usefixtures("coarse_plans", "plain_reports")
 @pytest.mark.parametrize("name", ["README.md", "docs/python.md", "docs/report.md"])
 def test_the_python_of_a_page_runs(name, folder, fitted):
     shutil.copy(ROOT / "config" / "signals_default.yaml", folder / "my_signals.yaml")

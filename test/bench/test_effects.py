@@ -153,10 +153,10 @@ COMBINATIONS = {
         "resistance_factor": (1.2, 1.0, 0.9), "u_dc_ripple": 0.02, "u_dc_drift": 0.01, "current_filter": 3000.0,
         "current_skew": (0.0, 1e-5, 2e-5), "drop_asymmetry": (0.2, -0.1, 0.0), "drop_factor": (1.0, 0.9, 1.3),
     },
-    "switching": {"inverter": "switching", "dead_time": 4e-6, "device_voltage": 2.0},
     "all, switching": {
-        "inverter": "switching", "dead_time": 2e-6, "output_capacitance": 2e-9, "iron_conductance": 0.2,
-        "flux_lag": 0.05, "copper_heat_capacity": 20.0, "u_dc_ripple": 0.02, "eccentricity": (0.02,),
+        "inverter": "switching", "dead_time": 2e-6, "output_capacitance": 2e-9, "device_voltage": 2.0,
+        "iron_conductance": 0.2, "flux_lag": 0.05, "copper_heat_capacity": 20.0, "u_dc_ripple": 0.02,
+        "eccentricity": (0.02,),
     },
 }  # fmt: skip
 
@@ -365,7 +365,7 @@ def fine_legs(u_abc, i, dead_time, capacitance, machine):
 
 
 @pytest.mark.slow  # scipy integrates the legs
-@pytest.mark.parametrize(("capacitance", "error"), [(3e-8, 0.12), (3e-9, 0.2), (1e-13, 0.8)])
+@pytest.mark.parametrize(("capacitance", "error"), [(3e-8, 0.12), (1e-13, 0.8)])
 def test_a_switching_inverter_matches_legs_with_capacitances(capacitance, error):
     """Within ``error``, V, per period, where the dead time costs 12 V; phase currents cross zero."""
     machine = linear_machine(0.5, 2e-3, 20.0, 300.0)

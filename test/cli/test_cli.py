@@ -365,7 +365,7 @@ def test_simulate_and_fit_recover_the_truth(run, tmp_path):
 
 @pytest.mark.slow  # a picture is drawn in each format
 def test_the_format_of_the_pictures_is_an_option(run, bag):
-    for figure_format, start in (("svg", b"<?xml"), ("pdf", b"%PDF"), ("png", b"\x89PNG")):
+    for figure_format, start in (("svg", b"<?xml"), ("pdf", b"%PDF")):
         assert run("fit", bag, "--output", "results", "--method", "psm", "--figure-format", figure_format).code == 0
         pictures = [f"diagnostics.{figure_format}", f"flux_map.{figure_format}"]
         assert tree(Path("results")) == sorted([*pictures, "diagnostics.npz", "flux_map.npz", "identification.json"])
@@ -604,6 +604,7 @@ def test_plans_that_cannot_be(run):
 
 
 @pytest.mark.slow  # two reports are drawn
+@pytest.mark.usefixtures("plain_reports")
 def test_a_fit_leaves_a_report_and_a_new_one_without_it_none(run, bag):
     """And the machine has its name in all files."""
     named = ("--machine", "EM 3", "--set", "serial='007'")

@@ -144,7 +144,7 @@ def assert_same_bits(one, other):
 @pytest.mark.process
 def test_the_command_gives_the_same(cluster, run, bags):
     results = []
-    for options in (("--workers", "2"), ("--dask", cluster)):
+    for options in ((), ("--dask", cluster)):
         ran = run("accumulate", *bags, "--output", f"{len(results)}.info", "-q", *options, *JOINT)
         assert (ran.code, ran.err) == (0, "")
         with np.load(f"{len(results)}.info") as arrays:

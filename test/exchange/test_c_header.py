@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from compiled_header import compiled, header_margins, open_loop_margin, over_the_disc, read
 from exchange_machine import result
-from flashed_machines import NAMES, bridged, drive
+from flashed_machines import bridged, drive
 from scipy.interpolate import CubicHermiteSpline, RegularGridInterpolator
 
 from drive_id.analysis.machine import MachineModel
@@ -150,8 +150,8 @@ def test_control(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "name", ["spm", *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[-2:])]
-)  # slow: seconds for a map with bridges; benchmarks/flashed.py has all six
+    "name", ["spm", pytest.param("fold", marks=pytest.mark.slow)]
+)  # slow: seconds for a map that folds; benchmarks/flashed.py has all six
 def test_the_margin_holds_on_the_exported_interpolation(name, tmp_path):
     """At 20 000 currents, with L of the map and of both functions of the header, 20 % more and less."""
     found = drive(name)

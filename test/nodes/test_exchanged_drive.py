@@ -10,6 +10,7 @@ import sys
 import time
 
 import pytest
+from live_drive import LIGHT
 from odd_drive import OddDrive
 from ros_bench import DEADLINE, ros_bench
 
@@ -111,7 +112,7 @@ def test_a_second_clock_is_refused(ros):
     """The first simulator goes on."""
     from drive_id.nodes.bench_simulator import _DISCOVERY
 
-    scaled = {"time_scale": 2.0}
+    scaled = LIGHT | {"time_scale": 0.5}
     first = ros.start("drive_id.nodes.bench_simulator", parameters=scaled)
     ros.wait(lambda: "Ready" in first.output and ros.node.count_publishers("/clock") == 1, "the first one")
     ready = time.monotonic()

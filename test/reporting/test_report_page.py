@@ -230,8 +230,8 @@ def test_without_sums_the_methods_are_compared_if_all_samples_are_kept(fitted):
 
 
 @pytest.mark.slow  # a report is drawn
-def test_a_report_of_a_psm_fit_says_what_it_lacks(bag):
-    page = page_of(fit_bags(Sources([bag]), None, FitSettings(method="psm")))
+def test_a_report_of_a_psm_fit_says_what_it_lacks(bag, operation):
+    page = page_of(fit_bags(Sources([bag]), None, FitSettings(method="psm")), operation)
     assert "does not model the inverter" in page.by_id("inverter").text()
     assert not page.has_id("chart-inverter")
     assert "psm: inverter not modelled (this result)" in page.by_id("comparison").text()
@@ -304,6 +304,7 @@ def test_a_stored_result_has_the_same_report(page, loaded):
 
 
 @pytest.mark.slow  # a report is drawn
+@pytest.mark.usefixtures("plain_reports")
 def test_a_fit_stores_what_its_samples_give(bag, fitted, tmp_path):
     """From the sums of all samples, or from the samples that the result keeps: the same."""
     found = fit_bags(Sources([bag]), tmp_path / "result", FitSettings(method="joint"))
@@ -559,11 +560,11 @@ def test_the_efficiency_is_known_up_to_the_largest_torque(fitted):
 
 
 @pytest.mark.slow  # a report is drawn
-def test_the_drop_is_told_as_a_dead_time(fitted):
+def test_the_drop_is_told_as_a_dead_time(fitted, operation):
     """2 V of 400 V are 0.5 % of the period, 0.5 µs at 10 kHz."""
     drive = replace(fitted.drive, voltage_error=2.0, sigma_voltage_error=0.02)
     result = replace(fitted, drive=drive, provenance=replace(fitted.provenance, u_dc=400.0))
-    said = page_of(result).by_id("inverter").text()
+    said = page_of(result, operation).by_id("inverter").text()
     assert "2.000 ± 0.020 V, is that of a dead time of 0.5 % of the switching period at 400 V, 0.5 µs at 10 kHz" in said
     without = page_of(replace(result, provenance=replace(result.provenance, u_dc=None)))
     assert "dead time" not in without.by_id("inverter").text()

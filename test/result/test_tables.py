@@ -98,6 +98,7 @@ def test_progress_is_shown_on_a_bar(samples):
 
 
 @pytest.mark.slow  # reports are drawn
+@pytest.mark.usefixtures("plain_reports")
 def test_a_report_takes_what_a_folder_lacks(result, tmp_path):
     replace(result, provenance=replace(result.provenance, u_dc=None)).save(tmp_path / "folder")
     for name, known in (("without", {}), ("with", {"u_dc": 321.0})):

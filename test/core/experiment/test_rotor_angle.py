@@ -40,8 +40,9 @@ def shaken(name, offset, believed, **settings):
 
 
 @pytest.mark.accuracy
-@pytest.mark.parametrize(("name", "offset"), [("ipm", 0.7), ("spm", -3.0), ("ipm", 3.1)])
-@pytest.mark.parametrize("friction", [None, 0.0])
+@pytest.mark.parametrize(
+    ("name", "offset", "friction"), [("ipm", 0.7, None), ("spm", -3.0, None), ("spm", -3.0, 0.0), ("ipm", 3.1, 0.0)]
+)
 def test_the_angle_is_found_within_its_error(name, offset, friction):
     found = first_start(turned(name, resolver_offset=offset, coulomb_friction=friction))
     error = math.remainder(found.angle_offset - offset, 2 * math.pi)

@@ -172,10 +172,6 @@ def test_free_maps_are_taken_when_the_machine_is_not_reciprocal():
     found = identify([record(saturating_flux, drop=even_drop, duration=4.0, noise=0.3)], FULL)
     assert np.all(errors(found, saturating_flux) < 1e-3)
     assert any("not reciprocal" in warning for warning in found.report.warnings)
-    forced = identify(
-        [record(saturating_flux, drop=even_drop, duration=4.0, noise=0.3)], replace(FULL, maps="reciprocal")
-    )
-    assert errors(forced, saturating_flux).max() > 5e-3
 
 
 @pytest.mark.parametrize("delay", [-3.2, -1.4, -1.0, 0.0, 0.5, 1.0, 2.0, 3.7])
@@ -278,6 +274,7 @@ def test_voltages_recorded_beside_their_time_are_moved_back(samples, late):
     shifted = replace(samples, u_abc=np.roll(samples.u_abc, -late, axis=0))
     fit = fitted(shifted)
     assert fit.spec.delay == pytest.approx(late, abs=0.05)
+    assert fit.assessment.jump is None, "it is late throughout"
     plain = fitted(shifted, replace(FULL, calibrate_delay=False, voltage_delay=float(late)))
     assert plain.spec.delay == late
     assert abs(plain.solution.resistance - 0.02) < 1e-3
@@ -392,19 +389,13 @@ def test_what_an_effect_that_data_left_out_do_not_confirm_would_change_is_uncert
 
 
 @pytest.mark.accuracy
-@pytest.mark.parametrize(("late", "word"), [(1, "later"), (-1, "earlier")])
-def test_voltages_that_slip_within_a_recording_are_refused_at_once(samples, monkeypatch, late, word):
+def test_voltages_that_slip_within_a_recording_are_refused_at_once(samples, monkeypatch):
     """Cells and free maps were tried on them before: 40 s of processor time."""
     monkeypatch.setattr(selection, "_resolved", None)
     part, half = samples.part(0, 20_000), 10_000
-    u_abc = np.concatenate([part.u_abc[:half], np.roll(part.u_abc, late, axis=0)[half:]])
-    with pytest.raises(DataError, match=rf"From 1\.[02]\d s of recording 2 on .*act {word}"):
+    u_abc = np.concatenate([part.u_abc[:half], np.roll(part.u_abc, 1, axis=0)[half:]])
+    with pytest.raises(DataError, match=r"From 1\.[02]\d s of recording 2 on .*act later"):
         identify([part, replace(part, u_abc=u_abc)], FULL)
-
-
-@pytest.mark.accuracy
-def test_voltages_late_throughout_one_recording_are_no_slip(samples):
-    assert fitted(replace(samples, u_abc=np.roll(samples.u_abc, 1, axis=0))).assessment.jump is None
 
 
 @pytest.mark.accuracy

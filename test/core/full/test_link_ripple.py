@@ -1,13 +1,17 @@
-"""The frequency of a ripple of the DC link."""
+"""The frequency of a ripple of the DC link, and what is said of one that was recorded."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from synthetic import reciprocal_flux, record
 
+from drive_id.core.full.effects.effect import Reported
+from drive_id.core.full.effects.link import DcLink
 from drive_id.core.full.link_ripple import ripple_frequency
 from drive_id.core.full.model import FullModel, ModelSpec
 from drive_id.core.full.solver import Solver
@@ -41,3 +45,22 @@ def test_a_ripple_does_not_slow_down_to_a_gain_while_it_is_refined():
     for _ in range(5):
         frequency, _ = ripple_frequency(sums.model, estimate, sums.kept(), frequency)
         assert frequency > half_a_turn
+
+
+@pytest.mark.parametrize(
+    ("share", "said", "doubtful"),
+    [
+        (1.0, "", False),
+        (2.0, "only 0 to 100 % are possible", True),
+        (-0.5, "only 0 to 100 % are possible", True),
+        (0.5, "neither none nor all of it", True),
+        (-1.0, "DC link is noise", False),
+    ],
+)
+def test_a_share_of_the_recorded_link_that_cannot_be_right_is_doubted(share, said, doubtful):
+    reported = SimpleNamespace(rivals=(), open=False, several_speeds=True)
+    entry = partial(Reported.entry, reported)
+    found = SimpleNamespace(value=[share], sigma=[0.01], links=(400.0, 400.0), link=400.0, entry=entry)
+    (told,) = DcLink("dc_link_share").report(found)
+    assert told.doubtful == doubtful
+    assert said in told.message

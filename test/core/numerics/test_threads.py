@@ -124,7 +124,7 @@ def test_a_fit_by_evidence_and_conclusion_has_one_thread(method, monkeypatch):
             return original(*arguments, **options)
 
         monkeypatch.setattr(f"numpy.{name}", watched)
-    settings = FitSettings(method, i_max=300.0, maps="reciprocal", harmonic_orders=())
+    settings = FitSettings(method, i_max=300.0, maps="reciprocal", harmonic_orders=(), search_orders=False)
     evidence = Evidence.within(settings, 300.0)
     evidence.add(record(reciprocal_flux, duration=2.0, noise=0.3))
     conclude(evidence, [])

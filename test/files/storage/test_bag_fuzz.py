@@ -62,7 +62,7 @@ def test_damaged_mcap(tmp_path, compression):
     write_recording(tmp_path / "bag", SAMPLES, make_truth(), compression=compression, block_size=20, chunk_size=1000)
     data = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
     target = tmp_path / "damaged.mcap"
-    for copy in damaged(data, random.Random(compression), 120):
+    for copy in damaged(data, random.Random(compression), 60):
         target.write_bytes(copy)
         try_to_read(target, checked=True)
 
@@ -79,7 +79,7 @@ def test_damaged_files_without_checksums(tmp_path, storage):
     """Without checksums nobody can tell a changed value; but nothing else than our errors may come out."""
     file = copied(tmp_path, storage)
     target = tmp_path / f"damaged{file.suffix}"
-    for copy in damaged(file.read_bytes(), random.Random(1), 120):
+    for copy in damaged(file.read_bytes(), random.Random(1), 60):
         target.write_bytes(copy)
         try_to_read(target, checked=False)
 

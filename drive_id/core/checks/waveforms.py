@@ -191,7 +191,8 @@ def _single_vectors(u_abc: FloatArray) -> Iterator[Message]:
     size = np.abs(u_s)
     active = u_s[size > _AT_CORNER * float(size.max())]
     share = float(np.mean(np.abs(np.angle(active**6)) / 6 < _AT_CORNER))
-    if share > _SINGLE and np.ptp(np.abs(active)) < _LIKE_VECTORS * size.max():
+    all_used = len(np.unique(np.rint(np.angle(active) * 3 / np.pi) % 6)) == 6  # pulses along one axis are none
+    if share > _SINGLE and all_used and np.ptp(np.abs(active)) < _LIKE_VECTORS * size.max():
         yield Message("single_vectors", share=share)
 
 

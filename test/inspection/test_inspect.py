@@ -135,6 +135,7 @@ WRONG = {
     "voltage offset": ("voltage_offset", lambda s: {"u_abc": s.u_abc + np.array([8.0, -4.0, -4.0])}),
     "saturated current": ("current_clipped", lambda s: {"i_abc": np.clip(s.i_abc, -150.0, 150.0)}),
     "saturated voltage": ("voltage_clipped", lambda s: {"u_abc": np.clip(s.u_abc, -25.0, 25.0)}),
+    "predictive control": ("single_vectors", lambda s: {"u_abc": synthetic.single_vectors(s.u_abc)}),
     "stuck phase": (
         "phase_stuck",
         lambda s: {"i_abc": np.where((np.arange(len(s)) // 400 == 9)[:, None] * [False, True, False], 1.5, s.i_abc)},

@@ -83,6 +83,18 @@ def record(
     )
 
 
+def single_vectors(u_abc: FloatArray) -> FloatArray:
+    """Return the vectors of an inverter that keep the integral nearest to that of voltages; its link varies by 1 %."""
+    u_s = frames.space_vector(u_abc)
+    vectors = 1.3 * np.abs(u_s).max() * np.append(np.exp(1j * np.pi / 3 * np.arange(6)), 0.0)
+    chosen, missed = np.zeros_like(u_s), 0j
+    for k, wanted in enumerate(u_s):
+        missed += wanted
+        chosen[k] = vectors[np.abs(missed - vectors).argmin()]
+        missed -= chosen[k]
+    return frames.phases(chosen * (1 + 0.01 * np.sin(np.arange(len(u_s)) / 300)))
+
+
 def warmed(samples: Samples, rises: dict[float, float]) -> Samples:
     """Return what the drive logs if R rises, by ohms for each time constant, s, while the currents heat the winding."""
     heat, rise = np.sum(samples.i_abc**2, axis=1), np.zeros(len(samples))

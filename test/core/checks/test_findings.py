@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from random_drives import OTHERS, random_recording
-from synthetic import cut
+from synthetic import cut, single_vectors
 
 from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
@@ -479,22 +479,14 @@ def test_discontinuous_pwm_is_named(drives):
 
 
 def test_voltages_that_are_single_vectors_of_the_inverter(drives):
-    """The vector that keeps the integral nearest to that of a modulated voltage, while the link varies by a percent."""
-    u_s = drives["spm"].u_abc @ (2 / 3 * np.exp(2j * np.pi / 3 * np.array([0, 1, -1])))
-    vectors = 1.3 * np.abs(u_s).max() * np.append(np.exp(1j * np.pi / 3 * np.arange(6)), 0.0)
-    chosen, missed = np.zeros_like(u_s), 0j
-    for k, wanted in enumerate(u_s):
-        missed += wanted
-        chosen[k] = vectors[np.abs(missed - vectors).argmin()]
-        missed -= chosen[k]
-    chosen *= 1 + 0.01 * np.sin(np.arange(len(u_s)) / 300)
-    u_abc = (chosen[:, None] * np.exp(-2j * np.pi / 3 * np.array([0, 1, -1]))).real
-    codes = {finding.code for finding in found(replace(drives["spm"], u_abc=u_abc))}
+    """Those of a modulated voltage are none, nor are pulses along one axis."""
+    u_abc = drives["spm"].u_abc
+    codes = {finding.code for finding in found(replace(drives["spm"], u_abc=single_vectors(u_abc)))}
     assert "single_vectors" in codes
     assert not codes & {"voltage_clipped", "phase_quantized"}
-    pulses = np.outer(np.sign(np.sin(np.arange(len(u_s)) / 50.0)), [40.0, -20.0, -20.0])
-    for u_abc in (drives["spm"].u_abc, pulses):
-        assert "single_vectors" not in {finding.code for finding in found(replace(drives["spm"], u_abc=u_abc))}
+    pulses = np.outer(np.sign(np.sin(np.arange(len(u_abc)) / 50.0)), [40.0, -20.0, -20.0])
+    for other in (u_abc, pulses):
+        assert "single_vectors" not in {finding.code for finding in found(replace(drives["spm"], u_abc=other))}
 
 
 def test_a_stuck_phase(ipm):

@@ -313,8 +313,8 @@ def by_hidden_faults(fit: FullFit, found: Sequence[Calibration], i_dq: FloatArra
     """Return the changes (size, K) of the estimate by faults of the sensors that show in nothing but their company.
 
     Those are gain errors common to the phases, as large as their mismatch, as what a filter takes of the voltages, or
-    as a slow variation of a DC link that was not recorded, whose mean is not known better; and an offset of the angle
-    as large as a skew of the machine makes it look. A phase with the gain 1 + e has a mismatch of abs(e) / 3 and adds
+    as a slow variation of the DC link, within which the commands are right somewhere; and an offset of the angle as
+    large as a skew of the machine makes it look. A phase with the gain 1 + e has a mismatch of abs(e) / 3 and adds
     e / 3 to the mean gain. Only the former can be seen, so the latter is as uncertain as the former is large: of
     independent errors, both have the same variance. Cross-talk between sensors turns the currents as well.
 

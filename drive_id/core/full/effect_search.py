@@ -31,7 +31,7 @@ from drive_id.core.full.linearized import (
     with_hidden_ripple,
 )
 from drive_id.core.full.model import PENALTIES, FullModel, ModelSpec
-from drive_id.core.full.reduced import Reduced, best_delay, delayed
+from drive_id.core.full.reduced import Reduced, best_delay
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, predictable
 from drive_id.core.full.standard_errors import SIGNIFICANCE, STUDENT
 from drive_id.core.full.window_sums import FOLDS, WindowSums
@@ -242,10 +242,9 @@ class _Search:
 
         It leaves no less than all effects together with any delay, and pays for its members.
         """
-        left, prices = self.reduced.subset(frozenset(self.rules.allowed)).left, sorted(map(_price, self.rules.allowed))
-        usual = delayed(self.usual)
-        squares = min(best_delay(left)[1], float(usual @ left @ usual))
-        return np.asarray(np.log(max(squares, 0.0) + self.rules.least) + np.cumsum(prices)[:_DEEP])
+        every, prices = self.reduced.subset(frozenset(self.rules.allowed)), sorted(map(_price, self.rules.allowed))
+        squares = max(min(best_delay(every.left)[1], every.squares(self.usual)), 0.0)
+        return np.asarray(np.log(squares + self.rules.least) + np.cumsum(prices)[:_DEEP])
 
     def without(self, found: _Set, member: str) -> _Set:
         """Return a set less one of its members, and what comes beside that only."""
@@ -423,6 +422,8 @@ def _undecided(search: _Search, chosen: _Set, rows: float, unconfirmed: Sequence
     One is that which data left out did not confirm, first. Another one would save most of the others, less than its
     price, which a misfit of the map may save as well; without other effects, that misfit is all there is to save.
     """
+    if not (chosen.members or unconfirmed):
+        return ()
     of_noise, saved = chosen.squares / rows, dict[str, float]()
     for name in search.rules.allowed:
         if name not in chosen.names and search.allows(names := chosen.names | {name}, chosen.delay):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from abc import abstractmethod
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -119,24 +120,38 @@ class CurrentLatency(Latency):
 
 
 @dataclass(frozen=True)
-class LateCompensation(DriveEffect):
-    """The drive compensates the drop by phase currents that are late, in coarse shapes h: ``[h(i)_s]`` at the ends.
+class Compensation(DriveEffect):
+    """The drive compensates the drop by other currents than flow, in coarse shapes h.
 
     All shapes tend to 1: the first unknown, the others being differences from its shape, is the sum of all.
+    """
+
+    unit: str
+    width = 4
+    at_rest, positive = True, True
+
+    @abstractmethod
+    def shapes(self, at: Linearized) -> Iterable[ComplexArray]:
+        """Return what is left (N,) of each coarse shape, the narrowest first, per unit."""
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        *others, widest = self.shapes(at)
+        return [widest, *(other - widest for other in others)]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield found.entry(self.name, found.value[0], found.sigma[0], self.unit)
+
+
+@dataclass(frozen=True)
+class LateCompensation(Compensation):
+    """By phase currents that are late: ``[h(i)_s]`` at the ends.
 
     Over the lateness t, ``int h(i)_s`` less that of the earlier currents is t times the difference between the
     ends, of currents half of it before.
     """
 
-    width = 4
-    at_rest, positive = True, True
-
-    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        *others, widest = at.compensations[: 2 * self.width : 2]
-        return [widest, *(other - widest for other in others)]
-
-    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield found.entry("late_compensation", found.value[0], found.sigma[0], "Wb")
+    def shapes(self, at: Linearized) -> Iterable[ComplexArray]:  # noqa: D102
+        return at.compensations[: 2 * self.width : 2]
 
 
 @dataclass(frozen=True)
@@ -158,21 +173,11 @@ class LateShape(DriveEffect):
 
 
 @dataclass(frozen=True)
-class ReferenceCompensation(DriveEffect):
-    """The drive compensates the drop by the references of the currents, in coarse shapes h: ``int h(i) - h(i_ref)``.
+class ReferenceCompensation(Compensation):
+    """By the references of the currents: ``int h(i)_s - h(i_ref)_s``."""
 
-    The unknowns are as those of :class:`LateCompensation`.
-    """
-
-    width = 4
-    at_rest, positive = True, True
-
-    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        *others, widest = (at.windows.drop_scale[:, None] * at.windows.by_reference).T
-        return [widest, *(other - widest for other in others)]
-
-    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield found.entry("reference_compensation", found.value[0], found.sigma[0], "V")
+    def shapes(self, at: Linearized) -> Iterable[ComplexArray]:  # noqa: D102
+        return [*(at.windows.drop_scale[:, None] * at.windows.by_reference).T]
 
 
 @dataclass(frozen=True)

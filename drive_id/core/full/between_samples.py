@@ -82,8 +82,7 @@ def between_samples(
     samples = np.maximum(np.rint(windows.duration / windows.period), 1).astype(np.int64)
     fastest = np.max(np.abs(turned) / samples)
     mean = _mean_inductances(model, estimate, windows.i_dq.mean(axis=1))
-    known = np.linalg.det(mean) > 0.0
-    inductance = np.median(np.linalg.eigvalsh(0.5 * (mean + np.swapaxes(mean, 1, 2)))[:, 0])
+    known, inductance = np.linalg.det(mean) > 0.0, _least(mean)
     bow = np.square(fastest * step) / 8 * np.abs(psi).max()  # of the flux
     most = inductance * model.i_max  # a current that bows by i_max and more diverges
     resistance = float(estimate[RESISTANCE])
@@ -152,6 +151,17 @@ def _held(delay: float) -> float:
         return 1 / round(1 / max(1 + 2 * delay, TINY)) ** 2
     step = delay % 1.0
     return 1 - 6 * step * (1 - step)
+
+
+def decay(model: FullModel, estimate: FloatArray, windows: Windows) -> float:
+    """Return the share R T / L of a current, by the least inductance, that decays within a sample."""
+    least = _least(_mean_inductances(model, estimate, windows.i_dq.mean(axis=1)))
+    return abs(float(estimate[RESISTANCE])) * float(windows.period.max()) / max(least, TINY)
+
+
+def _least(inductances: FloatArray) -> float:
+    """Return the median of the least inductance, H, of symmetric parts of (N, 2, 2), H."""
+    return float(np.median(np.linalg.eigvalsh(0.5 * (inductances + np.swapaxes(inductances, 1, 2)))[:, 0]))
 
 
 def _mean_inductances(model: FullModel, estimate: FloatArray, i_dq: FloatArray) -> FloatArray:

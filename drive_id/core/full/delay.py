@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.core.full.between_samples import decay
 from drive_id.core.full.model import PENALTIES
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products
 from drive_id.core.full.window_sums import SEGMENT
-from drive_id.core.full.windows import DECIMATED, MOST_DELAY, Windows
+from drive_id.core.full.windows import DECIMATED, EARLIEST, MOST_DELAY, Windows
 from drive_id.types import TINY, FloatArray
 
 _SPEEDS_APART = 0.1
@@ -36,6 +37,9 @@ _CERTAIN, HALF = 4.0, 0.5
 """Standard errors within which another timing of a drive must not lie, and its distance, samples."""
 _EXACT = 0.02
 """The same of a delay as decimated logs have: by five, one of -0.4 samples was estimated as -0.456."""
+_BY_DECAY = 1.5
+"""Uncertainty, samples, of a delay as decimated logs have, over the squared share R T / L of a current that decays
+within a sample: the steps of the voltage between samples are unknown. By five, it was off by 0.5 to 1.1 of that."""
 _LEAST_JUMP, _LEAST_SHARE = 0.2, 0.1
 """Jump of a delay in what the fit left of it, samples: of one sample, the fit takes half and more; and the share of the
 squared residuals that a jump must explain: without one, it was below 0.002."""
@@ -148,8 +152,8 @@ def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) 
     """Estimate the voltage delay, corrected for current noise.
 
     The controller responds to noise with voltage, later, which biases the estimate. The standard error includes the
-    correction, the bias that may remain where the data hardly determine a delay, the effect of smoothing, and the error
-    of an interpolated angle, which resembles a delay. A delay of more than two samples is accepted only if it explains
+    correction, the bias that may remain where the data hardly determine a delay, the effect of smoothing, the error
+    of an interpolated angle, which resembles a delay, and what a decimated log does not show. A delay of more than two samples is accepted only if it explains
     a substantial part of residuals that are more than noise.
     """
     found, sigma, squares = solver.delay(solution)
@@ -158,6 +162,8 @@ def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) 
     by_noise = solver.delay(solver.solve(solution.spec, products))[0] - found
     left = _NOISE_SHARE * sigma**2 * solution.rows
     bounds = [sigma, _BIAS, _SMOOTHING_BOUND * (smoother - found), by_noise, left]
+    if EARLIEST < found < -1 / 4 + _PHYSICAL:
+        bounds.append(_BY_DECAY * decay(solver.model, solution.estimate, noise.windows) ** 2)
     if noise.interpolation_variance:
         resembled = np.sqrt(noise.interpolation_variance) / noise.turn  # the delay that turns the angle as far
         bounds.append(resembled)

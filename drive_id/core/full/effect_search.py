@@ -320,7 +320,7 @@ def search_effects(
             rules = replace(rules, allowed=tuple(sorted(chosen.names - {weak})))
     delay = state.found.delay
     if chosen.delay != plain.delay:
-        delay = Delay(chosen.delay, delay.sigma)
+        delay = Delay(state.solution.spec.delay, delay.sigma)  # that of the fit, of which the set's differs by little
     elif turn > 0:
         delay = estimate_delay(state.solver, state.solution, noise)
     search = replace(search, rules=every)  # what was not confirmed is a rival all the same

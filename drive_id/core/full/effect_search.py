@@ -205,6 +205,11 @@ class _Search:
             yield from {value, *Delay(value).between} - {self.usual}
 
     def allows(self, names: frozenset[str], delay: float) -> bool:
+        """Tell whether a set is possible, and more than what the misfit of a map looks like."""
+        of_link = [name for name in names if CATALOGUE[name].of_link]
+        return self.possible(names, delay) and all(self._explains_misfit(names, name, delay) for name in of_link)
+
+    def possible(self, names: frozenset[str], delay: float) -> bool:
         """Tell whether a set is physically possible, and can be told from others."""
         if any(name in names and other not in names for name, other in _BESIDE.items()):
             return False
@@ -217,9 +222,7 @@ class _Search:
         late = names & _LATE & _ROTATING
         if self.rules.one_speed and any(not 0 <= found.value(name, delay)[0] <= most for name in late):
             return False
-        if not all(_plausible(name, found.value(name, delay), self.rules.noise) for name in names):
-            return False
-        return all(self._explains_misfit(names, name, delay) for name in names if CATALOGUE[name].of_link)
+        return all(_plausible(name, found.value(name, delay), self.rules.noise) for name in names)
 
     def _explains_misfit(self, names: frozenset[str], name: str, delay: float) -> bool:
         before, after = (self.reduced.subset(each).squares(delay) for each in (frozenset(without(names, name)), names))
@@ -255,7 +258,7 @@ class _Search:
     def exchanged(self, found: _Set, member: str) -> Iterator[tuple[str, _Set, float]]:
         """Yield the possible sets with another effect instead of a member, its name, and its saving over the member's.
 
-        Those of the same family are not others.
+        Those of the same family are not others; a variation of the DC link is one however little it explains.
         """
         rest = self.without(found, member)
         saved = rest.squares - found.squares
@@ -267,7 +270,7 @@ class _Search:
             else:
                 sets = [self.of(rest.names | {name}, rest.delay)]
             for other in sets:
-                if saved > 0 and self.allows(other.names, other.delay):
+                if saved > 0 and self.possible(other.names, other.delay):
                     yield name, other, (rest.squares - other.squares) / saved
 
 
@@ -419,19 +422,17 @@ def _taken(search: _Search, chosen: _Set) -> Iterator[Taken]:
 def _undecided(search: _Search, chosen: _Set, rows: float, unconfirmed: Sequence[str]) -> tuple[str, ...]:
     """Return effects that would save more than noise lets them beside a set: whether the drive has them is open.
 
-    One is that which data left out did not confirm, first. Another one would save most of the others, less than its
-    price, which a misfit of the map may save as well; without other effects, that misfit is all there is to save.
+    These are those that data left out did not confirm, and of the others the one that would save most: less than its
+    price, which a misfit of the map may save as well.
     """
-    if not (chosen.members or unconfirmed):
-        return ()
     of_noise, saved = chosen.squares / rows, dict[str, float]()
     for name in search.rules.allowed:
         if name not in chosen.names and search.allows(names := chosen.names | {name}, chosen.delay):
             by_chance = CATALOGUE[name].width + SIGNIFICANCE * np.sqrt(2 * CATALOGUE[name].width)  # chi-squared
             saved[name] = (chosen.squares - search.of(names, chosen.delay).squares) / (by_chance * of_noise)
     open_ = [name for name in saved if saved[name] > 1.0]
-    first = [name for name in unconfirmed if name in open_][:1]
-    others = sorted(set(open_).difference(first), key=lambda name: -saved[name])[:1] if chosen.members else []
+    first = [name for name in unconfirmed if name in open_]
+    others = sorted(set(open_).difference(first), key=lambda name: -saved[name])[:1]
     return (*first, *others)
 
 

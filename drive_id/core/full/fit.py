@@ -366,13 +366,12 @@ def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> F
 
 
 def _with_undecided(solver: Solver, solution: FullSolution, selection: Selection) -> dict[str, FloatArray]:
-    """Return the change (size,) of the estimate with each effect of which the data leave open whether it is there."""
+    """Return the change (size,) of the estimate with or without each effect of which it is open whether it is there."""
     model, spec, out = solver.model, solution.spec, {}
     for name in selection.search.found.undecided if spec.reciprocal else ():
-        if name not in spec.effects:
-            effects = tuple(sorted((*spec.effects, name)))
-            out[name] = solver.solve(replace(spec, effects=effects)).estimate - solution.estimate
-            out[name][model.effect(name)] = 0.0
+        effects = without(spec.effects, name) if name in spec.effects else tuple(sorted((*spec.effects, name)))
+        out[name] = solver.solve(replace(spec, effects=effects)).estimate - solution.estimate
+        out[name][model.effect(name)] = 0.0
     return out
 
 

@@ -47,7 +47,7 @@ class FoundEffects:
     columns: EffectColumns  # linearized about the estimate
     taken: tuple[Taken, ...] = ()  # in the order in which they were found
     delay: Delay = field(default_factory=Delay)  # of the voltages, if it was requested
-    undecided: tuple[str, ...] = ()  # effects that were not taken, though noise does not explain what they would save
+    undecided: tuple[str, ...] = ()  # effects, taken or not, of which it is open whether the drive has them
 
 
 @dataclass(frozen=True, eq=False)

@@ -153,8 +153,8 @@ def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) 
 
     The controller responds to noise with voltage, later, which biases the estimate. The standard error includes the
     correction, the bias that may remain where the data hardly determine a delay, the effect of smoothing, the error
-    of an interpolated angle, which resembles a delay, and what a decimated log does not show. A delay of more than two samples is accepted only if it explains
-    a substantial part of residuals that are more than noise.
+    of an interpolated angle, which resembles a delay, and what a decimated log does not show. A delay of more than two
+    samples is accepted only if it explains a substantial part of residuals that are more than noise.
     """
     found, sigma, squares = solver.delay(solution)
     smoother = solver.delay(solver.solve(replace(solution.spec, penalty=PENALTIES[-1])))[0]

@@ -36,7 +36,7 @@ def test_a_link_that_explains_too_little_to_be_taken_is_a_rival_of_what_explains
 
 
 def test_a_member_that_saves_little_beside_what_is_left_is_open():
-    """A map too coarse for its saturation had a filter of the currents confirmed: R was 4 % off, 4.1 standard errors."""
+    """A map too coarse for its iron had a filter of the currents confirmed: R was 4 % off, 4.1 standard errors."""
     for saved, open_ in ((0.06, ("current_latency",)), (0.3, ())):
         search = search_among({"current_latency": saved})
         assert _undecided(search, search.run(), 1e3, ()) == open_

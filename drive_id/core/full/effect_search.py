@@ -430,7 +430,7 @@ def _undecided(search: _Search, chosen: _Set, rows: float, unconfirmed: Sequence
     """
     of_noise, saved = chosen.squares / rows, dict[str, float]()
     for name in search.rules.allowed:
-        if name not in chosen.names and search.allows(names := chosen.names | {name}, chosen.delay):
+        if name not in chosen.names and search.possible(names := chosen.names | {name}, chosen.delay):
             by_chance = CATALOGUE[name].width + SIGNIFICANCE * np.sqrt(2 * CATALOGUE[name].width)  # chi-squared
             saved[name] = (chosen.squares - search.of(names, chosen.delay).squares) / (by_chance * of_noise)
     open_ = [name for name in saved if saved[name] > 1.0]

@@ -46,6 +46,9 @@ leave of that. The logarithm of on-state drops bends by 5 %; what random drives 
 _MAGNETS, _MAGNET_LOSS = "magnet_heating", 1.2e-3
 """Effect of warm magnets, and the share of their flux that they lose, 1/K: 0.11 to 0.12 % of NdFeB, 0.2 % of ferrites,
 which are warmed less."""
+_LINK, _DRIFT = "link_drift", 5e-3
+"""Effect of a DC link that drifts, and by how much it may within a recording: rectified mains drift by up to 1 %,
+laboratory supplies by a tenth of it."""
 _PASSIVE_POINTS = 41
 """Per axis, at which passivity is tested: two to three for each usual cell."""
 _STIFFER, _ROUNDS = 10.0, 7
@@ -280,10 +283,10 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
     by_rivals = _with_rivals(solver, uncorrected, selection)
     undecided = _with_undecided(solver, uncorrected, selection)
     by_curve = _among_curves(solver, solution, batches, crossed)
-    by_magnets = _by_magnets(solver, solution, batches)
-    open_effects = np.column_stack([*undecided.values(), by_magnets, *left_out.values(), *by_rivals.values()])
+    unseen = {_MAGNETS: _by_magnets(solver, solution, batches), _LINK: _by_link(solver, solution, selection, batches)}
+    by_open = {DELAY: by_delay} | undecided | unseen | left_out
+    open_effects = np.column_stack([*undecided.values(), *unseen.values(), *left_out.values(), *by_rivals.values()])
     columns = [(name, np.column_stack([each])) for name, each in (*within, ("open", open_effects), ("curve", by_curve))]
-    by_open = {DELAY: by_delay} | undecided | {_MAGNETS: by_magnets} | left_out
     return _Judged(
         uncorrected=uncorrected, solution=solution, changes=np.hstack([each for _, each in columns]),
         sources=tuple(name for name, each in columns for _ in each.T), energy=energy, times=times,
@@ -385,8 +388,24 @@ def _by_magnets(solver: Solver, solution: FullSolution, batches: FloatArray) -> 
         return np.zeros(model.size)
     rise = abs(float(solution.estimate[model.effect("copper_heating").start])) / max(solution.resistance, TINY) / COPPER
     magnet = float(np.linalg.norm(model.flux.rows(np.zeros((1, 2))).dot(solution.estimate[model.map])))
-    change, left = solver.by_column(solution, model.effect(_MAGNETS).start)
-    expected, certain = _MAGNET_LOSS * rise * magnet, _grown(solution, batches) * solution.residual_rms / np.sqrt(left)
+    return _as_expected(solver, solution, batches, _MAGNETS, _MAGNET_LOSS * rise * magnet)
+
+
+def _by_link(solver: Solver, solution: FullSolution, selection: Selection, batches: FloatArray) -> FloatArray:
+    """Return the change (size,) of the estimate by a link that drifts, as far as the data leave it open.
+
+    Where no current is met again later, as on a grid in rows, a map can follow the drift.
+    """
+    known = np.isfinite(selection.search.found.columns.link)
+    if known or _LINK in solution.spec.effects or not solution.spec.reciprocal:
+        return np.zeros(solver.model.size)
+    return _as_expected(solver, solution, batches, _LINK, _DRIFT)
+
+
+def _as_expected(solver: Solver, solution: FullSolution, batches: FloatArray, name: str, expected: float) -> FloatArray:
+    """Return the change (size,) of the estimate by an effect of an expected size, less where the data determine it."""
+    change, left = solver.by_column(solution, solver.model.effect(name).start)
+    certain = _grown(solution, batches) * solution.residual_rms / np.sqrt(left)
     return np.asarray(change * expected * certain / max(np.hypot(expected, certain), TINY))
 
 

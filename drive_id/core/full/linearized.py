@@ -72,7 +72,9 @@ def first_columns(
     mean, ripple = sums.mean_link, 0.0
     if np.isnan(mean) and misfits(model, solution, noise):
         ripple = ripple_frequency(model, solution.estimate, [windows])[0]
-    columns = EffectColumns(model, solution.estimate, float(windows.heat.max()), mean, pole_pairs, ripple)
+    recordings = [windows.time[windows.recording == number] for number in range(windows.recording.max() + 1)]
+    spans = np.array([[time.min(initial=np.inf), time.max(initial=-np.inf)] for time in recordings])
+    columns = EffectColumns(model, solution.estimate, float(windows.heat.max()), mean, spans, pole_pairs, ripple)
     speeds = windows.speed.mean(axis=1)
     steady = None if several_speeds(speeds) else float(speeds.mean())
     columns = replace(columns, divided=divided([windows]), steady=steady)

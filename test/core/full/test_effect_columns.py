@@ -41,6 +41,8 @@ OF_SECOND_ORDER = 0.1
 LARGE_LOSS = 1.2
 """Conductance of the iron, S."""
 U_DC, LINK_TURN = 400.0, 2 * np.pi * 9.0
+SPANS = SECONDS * np.array([[0.0, 1.0], [1.0, 2.0]])
+"""When recordings begin and end, s."""
 SETTLED = 0.08
 """Time after which the lagging currents have forgotten their unknown start, s."""
 TURNS = 2 * np.pi * np.array([2.6, -2.6, 4.8, -4.8, 1.1, -1.1])
@@ -284,6 +286,7 @@ CASES = {
     "drop_by_link": (
         0, lambda x: Drive(resistive=lambda t, i_s: R * i_s + x * 0.01 * np.cos(LINK_TURN * t) * drop_of(i_s)), 0.5
     ),
+    "link_drift": (0, lambda x: Drive(logged=lambda t, u_s: u_s / (1 + x * (t / SECONDS - 0.5))), 5e-3),
     "link_sag": (0, fallen_link, 1e-6),
     "device_sag": (0, sparing_devices, 1e-6),
     "drop_by_sag": (0, lambda x: Drive(logged=lambda t, u_s: u_s - x * fallen(t, u_s)), 1e-5),
@@ -341,7 +344,9 @@ def estimate():
 def columns(estimate):
     """The columns of the drive without effects (N, EFFECT_COLUMNS), from one recording and from two."""
     one, two = cut(Drive().record(link=True)), cut(Drive().record(), Drive().record())
-    return [EffectColumns(MODEL, estimate, float(windows.heat.max()), U_DC, PAIRS)(windows) for windows in (one, two)]
+    return [
+        EffectColumns(MODEL, estimate, float(windows.heat.max()), U_DC, SPANS, PAIRS)(windows) for windows in (one, two)
+    ]
 
 
 def ends(windows):
@@ -387,7 +392,7 @@ def test_a_tracked_angle_lags_by_acceleration_and_jerk(estimate):
     plus, minus = (
         residual(cut(Drive(angle_error=lambda t, x=x: -x * lag(t)).record()), estimate) for x in (1e-6, -1e-6)
     )
-    columns = EffectColumns(MODEL, known, 1.0, np.nan, None)(accelerated)
+    columns = EffectColumns(MODEL, known, 1.0, np.nan, SPANS, None)(accelerated)
     close(windows, columns[:, EFFECTS["angle_tracking"].start], (plus - minus) / 2e-6, NEAR)
 
 
@@ -408,7 +413,7 @@ def test_heat_that_is_given_off_has_its_time_constant(number, constant, estimate
         return Drive(resistive=lambda t, i_s: (R + x * np.interp(t, fine, risen / risen.max())) * i_s)
 
     winding = replace(WindingHeat.of(windows), constant=0.1, slow=0.4)
-    columns = EffectColumns(MODEL, estimate, float(windows.heat.max()), U_DC, PAIRS, winding=winding)(windows)
+    columns = EffectColumns(MODEL, estimate, float(windows.heat.max()), U_DC, SPANS, PAIRS, winding=winding)(windows)
     plus, minus = (residual(cut(warm(x).record()), estimate) for x in (size, -size))
     own = columns[:, EFFECTS["copper_heating"]]
     close(windows, own[:, 0] + (own[:, number] if number else 0.0), (plus - minus) / (2 * size), NEAR)
@@ -452,7 +457,7 @@ def test_the_remainder_is_what_a_late_angle_changes_in_second_order(estimate):
         known = estimate.copy()
         known[MODEL.effect(name).stop - 1] = x
         windows = cut(drive(x).record())
-        columns = EffectColumns(MODEL, known, 1.0, np.nan, None)(windows)
+        columns = EffectColumns(MODEL, known, 1.0, np.nan, SPANS, None)(windows)
         return np.stack([residual(windows, estimate) + x * columns[:, number], columns[:, remainder]])
 
     plus, minus, none = (left_and_remainder(x) for x in (size, -size, 0.0))
@@ -469,7 +474,7 @@ def test_a_filter_is_known_beyond_the_first_order(estimate):
     known[number], known[MODEL.effect("remainder")] = time, 1.0
     windows = cut(filtered.record())
     plain = residual(cut(Drive().record()), estimate)
-    found = replace(windows, effects=EffectColumns(MODEL, known, 1.0, np.nan, None)(windows))
+    found = replace(windows, effects=EffectColumns(MODEL, known, 1.0, np.nan, SPANS, None)(windows))
     assert np.linalg.norm(residual(found, known) - plain) < 0.01 * np.linalg.norm(residual(windows, estimate))
 
 
@@ -481,12 +486,12 @@ def test_at_moved_currents_the_columns_are_the_slopes_of_the_nonlinear_balance(e
     known[effect], known[MODEL.effect("remainder")] = size, 1.0
 
     def with_columns(some, x):
-        return replace(some, effects=EffectColumns(MODEL, x, 1.0, np.nan, None)(some))
+        return replace(some, effects=EffectColumns(MODEL, x, 1.0, np.nan, SPANS, None)(some))
 
     def balance(x):
         return residual(with_columns(windows, x), x)
 
-    moved = EffectColumns(MODEL, known, 1.0, np.nan, None).moved(windows)
+    moved = EffectColumns(MODEL, known, 1.0, np.nan, SPANS, None).moved(windows)
     assert np.hypot(*np.moveaxis(moved.i_dq - windows.i_dq, -1, 0)).max() > 0.1 * RADIUS
     there = with_columns(moved, known)
     np.testing.assert_allclose(residual(there, known), balance(known), atol=1e-12)
@@ -502,7 +507,7 @@ def test_at_moved_currents_the_columns_are_the_slopes_of_the_nonlinear_balance(e
 
 def test_what_the_recording_lacks_leaves_no_column(estimate):
     windows = cut(Drive().record())
-    columns = EffectColumns(MODEL, estimate, 1.0, np.nan, None)(windows)
+    columns = EffectColumns(MODEL, estimate, 1.0, np.nan, SPANS, None)(windows)
     for name in ("dc_link", "eccentricity", "eccentric_rotor", "copper_recordings", "magnet_recordings"):
         assert not columns[:, EFFECTS[name]].any()
 

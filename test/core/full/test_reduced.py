@@ -36,7 +36,7 @@ def fitted():
     plain = ModelSpec(True, (6,), penalty=1e-4)
     estimate = Solver.over(sums).solve(plain).estimate
     heat = float(max(windows.heat.max() for windows in sums.kept()))
-    sums = sums.with_effects(EffectColumns(sums.model, estimate, heat, np.nan, 4))
+    sums = sums.with_effects(EffectColumns(sums.model, estimate, heat, np.nan, np.array([[0.0, 4.0]]), 4))
     return sums, Solver.over(sums), plain
 
 

@@ -13,7 +13,16 @@ from drive_id.core.full.effects.heat import (
     MagnetRecordings,
 )
 from drive_id.core.full.effects.iron import Coercivity, EddyCurrents, Hysteresis
-from drive_id.core.full.effects.link import DcLink, DeviceSag, DropByLink, DropBySag, LinkRipple, LinkRise, LinkSag
+from drive_id.core.full.effects.link import (
+    DcLink,
+    DeviceSag,
+    DropByLink,
+    DropBySag,
+    LinkDrift,
+    LinkRipple,
+    LinkRise,
+    LinkSag,
+)
 from drive_id.core.full.effects.parts import AngleOfParts, DropOfParts, UnlikeParts
 from drive_id.core.full.effects.phases import (
     CurrentFilters,
@@ -69,6 +78,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         ResolverOrder("resolver_second", 2),
         DcLink("dc_link"),
         DropByLink("drop_by_link"),
+        LinkDrift("link_drift"),
         LinkRipple("link_ripple"),
         LinkSag("link_sag", "link_sag"),
         DeviceSag("device_sag", "link_sag_of_devices"),

@@ -17,7 +17,7 @@ from drive_id.core.full.model import EFFECT_COLUMNS, EFFECTS, RESISTANCE, FullMo
 from drive_id.core.full.winding_heat import WindingHeat
 from drive_id.core.full.windows import WindowCutter, Windows
 from drive_id.core.maps.flux_models import jacobian
-from drive_id.types import FloatArray, Samples
+from drive_id.types import TINY, FloatArray, Samples
 
 _MOST_POLE_PAIRS = 16
 """Tried where the number is not known: as many as common machines have."""
@@ -37,6 +37,7 @@ class EffectColumns:
     estimate: FloatArray  # (size,), see :class:`~drive_id.core.full.solver.FullSolution`
     heat: float  # largest int i^2 dt within a recording, A^2 s, to which heating is relative
     link: float  # mean DC-link voltage, V; NaN where it is not known
+    spans: FloatArray  # (R, 2), when the windows of each recording begin and end, s
     pole_pairs: int | None  # for the mechanical angle
     ripple: float = 0.0  # frequency of a ripple of the DC link, Hz; 0 without
     winding: WindingHeat | None = None  # course of its temperature; None: it gives off no heat
@@ -120,6 +121,7 @@ class EffectColumns:
         half = 0.5 * (windows.turned[:, 1] - windows.turned[:, 0])
         turning = unit * ends.turn[:, 0] * np.exp(1j * half) * np.sinc(half / np.pi)
         read = np.stack([1j * windows.current, image, 1j * image, unit, 1j * unit, turning, 1j * turning])
+        begin, end = self.spans[windows.recording].T
         heat, drop = windows.heat / max(self.heat, 1e-12), self.model.coarse_drop(self.estimate)
         return Linearized(
             **vars(ends),
@@ -135,6 +137,7 @@ class EffectColumns:
             heat=heat,
             warmth=[heat] if self.winding is None else self.winding.courses(windows),
             link=self.link,
+            course=(windows.time + 0.5 * (windows.duration - begin - end)) / np.maximum(end - begin, TINY),
             ripple=self.ripple,
             filter=max(float(self._value("current_latency")[0]), 0.0),
             delay=self.delay,

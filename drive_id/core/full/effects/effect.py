@@ -101,6 +101,7 @@ class Linearized(Ends):
     heat: FloatArray  # (N,), relative to the largest within a recording
     warmth: list[FloatArray]  # (N,), rise of the winding's temperature, likewise, see ``WindingHeat.courses``
     link: float  # mean DC-link voltage, V; NaN where it is not known
+    course: FloatArray  # (N,), time since the middle of the recording over its duration
     ripple: float  # Hz; 0 without
     filter: float  # time constant of the currents' filter, s; 0 without
     delay: float  # of the voltages, samples

@@ -115,6 +115,29 @@ class LinkRipple(DriveEffect):
 
 
 @dataclass(frozen=True)
+class LinkDrift(DriveEffect):
+    """Relative rise of the link within each recording, in proportion to time: ``-int u_s`` times the time.
+
+    The middle of a recording has the mean link, on which the scale of the map rests.
+    """
+
+    of_link, at_rest, of_recordings = True, True, True
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return not known.link
+
+    def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:  # noqa: D102
+        return bool(abs(value[0]) < _MOST)
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [-at.windows.voltage * at.course]
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        value, sigma = float(found.value[0]), float(found.sigma[0])
+        yield replace(found.entry("link_drift", value, sigma, "1", level=0.5 * abs(value)), doubtful=True)
+
+
+@dataclass(frozen=True)
 class FallPerPower(DriveEffect):
     """A relative fall per power p that is taken from a link that was not recorded, told by the name of its entry."""
 

@@ -266,9 +266,8 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
     crossed = bool(np.isfinite(selection.crossings))
     left_out: dict[str, FloatArray] = {}
     while True:
-        solution, by_noise = correct_attenuation(solver, uncorrected, noise)
-        if passive:
-            solution = enforce_passivity(solver, solution)
+        corrected, by_noise = correct_attenuation(solver, uncorrected, noise)
+        solution = enforce_passivity(solver, corrected) if passive else corrected
         batches, energy, times, misfit = residual_statistics(sums, solution, noise)
         by_delay = _by_delay(solver, uncorrected, selection)
         biases = (solver.shrinkage(solution), by_noise, UNCERTAIN_SHARE * solver.by_remainder(solution))
@@ -281,7 +280,7 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
         with_weak, uncorrected = uncorrected, solver.solve(replace(solution.spec, effects=effects))
         left_out[weak] = with_weak.estimate - uncorrected.estimate
     by_rivals = _with_rivals(solver, uncorrected, selection)
-    undecided = _with_undecided(solver, uncorrected, selection)
+    undecided = _with_undecided(solver, corrected, selection, noise)
     by_curve = _among_curves(solver, solution, batches, crossed)
     unseen = {_MAGNETS: _by_magnets(solver, solution, batches), _LINK: _by_link(solver, solution, selection, batches)}
     by_open = {DELAY: by_delay} | undecided | unseen | left_out
@@ -368,12 +367,18 @@ def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> F
     return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate
 
 
-def _with_undecided(solver: Solver, solution: FullSolution, selection: Selection) -> dict[str, FloatArray]:
-    """Return the change (size,) of the estimate with or without each effect of which it is open whether it is there."""
+def _with_undecided(
+    solver: Solver, solution: FullSolution, selection: Selection, noise: CurrentNoise
+) -> dict[str, FloatArray]:
+    """Return the change (size,) of the estimate with or without each effect of which it is open whether it is there.
+
+    Both are corrected for noise, which feigns a filter of the currents.
+    """
     model, spec, out = solver.model, solution.spec, {}
     for name in selection.search.found.undecided if spec.reciprocal else ():
         effects = without(spec.effects, name) if name in spec.effects else tuple(sorted((*spec.effects, name)))
-        out[name] = solver.solve(replace(spec, effects=effects)).estimate - solution.estimate
+        other, _ = correct_attenuation(solver, solver.solve(replace(spec, effects=effects)), noise)
+        out[name] = other.estimate - solution.estimate
         out[name][model.effect(name)] = 0.0
     return out
 

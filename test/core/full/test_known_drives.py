@@ -134,7 +134,7 @@ def test_a_drop_that_follows_the_recorded_link_is_no_heat():
 
 @pytest.mark.accuracy
 def test_a_link_that_drifts_is_told_from_heat_where_no_current_is_met_again():
-    """Warm magnets and a warm winding were found, and the flux was 0.14 % off."""
+    """A drop that falls under load, a warm winding and warm magnets were found."""
 
     def rows(t, i_max):
         """Return twelve rows, i_q swept up or down along each, with a smooth step of i_d between them."""
@@ -143,9 +143,9 @@ def test_a_link_that_drifts_is_told_from_heat_where_no_current_is_met_again():
         return 0.85 * i_max * np.stack([(np.floor(row) + step) / 6 - 1, np.cos(2 * np.pi * row)], axis=-1)
 
     plain = drive(current=rows)
-    link = 1 - 0.006 * (np.arange(len(plain)) / len(plain) - 0.5)
+    link = 1 - 0.01 * (np.arange(len(plain)) / len(plain) - 0.5)
     result = fitted(replace(plain, u_abc=plain.u_abc / link[:, None]))
-    assert found(result, "link_drift").value == pytest.approx(-0.006, rel=0.1)
+    assert found(result, "link_drift").value == pytest.approx(-0.01, rel=0.1)
     assert {warning.code for warning in result.report.warnings} >= {"link_drift"}
     right(result)
 

@@ -121,7 +121,7 @@ class EffectColumns:
         half = 0.5 * (windows.turned[:, 1] - windows.turned[:, 0])
         turning = unit * ends.turn[:, 0] * np.exp(1j * half) * np.sinc(half / np.pi)
         read = np.stack([1j * windows.current, image, 1j * image, unit, 1j * unit, turning, 1j * turning])
-        begin, end = self.spans[windows.recording].T
+        begin, end = self.spans[np.minimum(windows.recording, len(self.spans) - 1)].T  # of live data, some may be later
         heat, drop = windows.heat / max(self.heat, 1e-12), self.model.coarse_drop(self.estimate)
         return Linearized(
             **vars(ends),

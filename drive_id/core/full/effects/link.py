@@ -121,7 +121,7 @@ class LinkDrift(DriveEffect):
     The middle of a recording has the mean link, on which the scale of the map rests.
     """
 
-    of_link, at_rest, of_recordings = True, True, True
+    of_link, at_rest, of_recordings, of_recorded_runs = True, True, True, True
 
     def possible(self, known: Recorded) -> bool:  # noqa: D102
         return not known.link

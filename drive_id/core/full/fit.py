@@ -19,7 +19,14 @@ from drive_id.core.full.lack_of_fit import LackOfFit
 from drive_id.core.full.linearized import DELAY, EffectSearch, FoundEffects, with_columns
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
 from drive_id.core.full.selection import Selection, effects_to_try, jump_left, select, tested_causes
-from drive_id.core.full.solver import LEAST_TOLD, CurrentNoise, FullSolution, Solver, correct_attenuation
+from drive_id.core.full.solver import (
+    LEAST_TOLD,
+    CurrentNoise,
+    FullSolution,
+    Solver,
+    correct_attenuation,
+    unattenuated,
+)
 from drive_id.core.full.standard_errors import SIGNIFICANCE, residual_statistics, sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import MOST_DELAY, Windows
@@ -377,8 +384,8 @@ def _with_undecided(
     model, spec, out = solver.model, solution.spec, {}
     for name in selection.search.found.undecided if spec.reciprocal else ():
         effects = without(spec.effects, name) if name in spec.effects else tuple(sorted((*spec.effects, name)))
-        other, _ = correct_attenuation(solver, solver.solve(replace(spec, effects=effects)), noise)
-        out[name] = other.estimate - solution.estimate
+        other = solver.solve(replace(spec, effects=effects))
+        out[name] = unattenuated(solver, other, noise) - solution.estimate
         out[name][model.effect(name)] = 0.0
     return out
 

@@ -569,12 +569,23 @@ def correct_attenuation(solver: Solver, solution: FullSolution, noise: CurrentNo
         The corrected estimate, and bounds on the remaining errors: the attenuation of the correction itself, and what
         is unknown where noise moves the currents more than the trajectory does, see :func:`_moved_by_noise`.
     """
-    products = noise_products(solver, solution, noise, solution.sum_of_squares)
-    twice = solver.solve(solution.spec, products)
+    products, twice = _with_noise(solver, solution, noise)
     correction = solution.estimate - twice.estimate
     again = twice.response(products @ correction)
     corrected = replace(solution, estimate=solution.estimate + correction)
     return corrected, np.column_stack([again, _moved_by_noise(solution, products)])
+
+
+def unattenuated(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> FloatArray:
+    """Return the estimate (size,) that :func:`correct_attenuation` corrects."""
+    _, twice = _with_noise(solver, solution, noise)
+    return solution.estimate + (solution.estimate - twice.estimate)
+
+
+def _with_noise(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> tuple[sparse.csr_array, FullSolution]:
+    """Return the products N (size, size) of noise, and the solution with as much of it again."""
+    products = noise_products(solver, solution, noise, solution.sum_of_squares)
+    return products, solver.solve(solution.spec, products)
 
 
 def _moved_by_noise(solution: FullSolution, products: sparse.csr_array) -> FloatArray:

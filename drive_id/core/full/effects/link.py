@@ -31,6 +31,9 @@ _MOST_SHARE = 0.5
 """Beyond none or all of the drop that may seem to follow the link: the curve is that at its mean."""
 _MOST = 0.2
 """Amplitude of a ripple, relative to the link, beyond which a drive would have tripped."""
+_MOST_DRIFT = 0.03
+"""Rise within a recording, relative to the link, that no supply has: at low speed, a winding that warms by 26 K looks
+like one of 10 %."""
 _FEW_TURNS = 3.0
 """Turns of a ripple within a run up to which it may stand for a step or a drift, after which the mean is another."""
 
@@ -127,7 +130,7 @@ class LinkDrift(DriveEffect):
         return not known.link
 
     def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:  # noqa: D102
-        return bool(abs(value[0]) < _MOST)
+        return bool(abs(value[0]) < _MOST_DRIFT)
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return [-at.windows.voltage * at.course]

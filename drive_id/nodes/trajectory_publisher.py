@@ -33,7 +33,7 @@ from drive_id.nodes.support.experiment_messages import (
 )
 from drive_id.nodes.support.managed import ManagedNode
 from drive_id.nodes.support.parameters import declare_settings, on_change, read_settings
-from drive_id.nodes.support.qos import LATCHED, STREAM, STREAM_BEST_EFFORT, full_name, incompatible_subscriptions
+from drive_id.nodes.support.qos import LATCHED, STREAM, STREAM_BEST_EFFORT, incompatible_subscriptions, known_nodes
 from drive_id.nodes.support.runtime import run
 
 _DELIVERY = Duration(seconds=2)
@@ -196,11 +196,9 @@ class TrajectoryPublisher(ManagedNode):
         self._publish_state()
 
     def _count_drives(self) -> None:
-        """Note who publishes the phase currents, if that has changed."""
+        """Note who publishes the phase currents, if that has changed, or not all their names are known."""
         if self.count_publishers(CURRENTS) != len(self._drives):
-            self._drives = [
-                full_name(info) for info in self.get_publishers_info_by_topic(self.resolve_topic_name(CURRENTS))
-            ]
+            self._drives = known_nodes(self.get_publishers_info_by_topic(self.resolve_topic_name(CURRENTS)))
             self._experiment.count_drives(self._drives)
 
     def _publish_state(self) -> None:

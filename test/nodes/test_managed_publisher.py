@@ -258,7 +258,7 @@ def test_an_incompatible_subscription_is_named(ros):
 def test_a_subscription_of_another_type_is_named():
     """With a mock graph: in DDS, one process cannot have a topic with two types."""
     require_ros()
-    from drive_id.nodes.support.qos import STREAM, incompatible_subscriptions
+    from drive_id.nodes.support.qos import STREAM, incompatible_subscriptions, known_nodes
 
     def info(namespace, name, kind):
         return SimpleNamespace(node_namespace=namespace, node_name=name, topic_type=kind, qos_profile=STREAM)
@@ -276,3 +276,4 @@ def test_a_subscription_of_another_type_is_named():
     why = "receives nothing on /ns/topic: it expects x/msg/Other instead of x/msg/Right."
     assert incompatible_subscriptions(graph, "topic") == [f"/a {why}", f"/b/c {why}"]
     assert incompatible_subscriptions(graph, "no") == []
+    assert known_nodes(subscriptions) == ["/a", "/b/c", "/d"]  # a drive that was killed is no second one

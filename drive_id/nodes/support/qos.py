@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterable
 from typing import Any
 
 from rclpy.node import Node
@@ -21,7 +22,7 @@ SERVICE = QoSProfile(depth=10_000)
 """Of services: the default keeps the last 10 requests, and whoever sent one before waits in vain."""
 
 _UNKNOWN = "_NODE_NAME_UNKNOWN_"
-"""Name that the middleware gives to the node of an endpoint before it knows better."""
+"""Name that the middleware gives to the node of an endpoint before it knows better, and after the node is gone."""
 
 
 def overridable(profile: QoSProfile) -> dict[str, Any]:
@@ -54,7 +55,7 @@ def incompatible_subscriptions(node: Node, topic: str) -> list[str]:
     sentences = []
     for info in node.get_subscriptions_info_by_topic(name):
         if info.node_name == _UNKNOWN:
-            continue  # its node's name has not arrived yet
+            continue
         compatibility, reason = qos_check_compatible(offered, info.qos_profile)
         if info.topic_type != kind:
             why = f"it expects {info.topic_type} instead of {kind}."
@@ -64,6 +65,11 @@ def incompatible_subscriptions(node: Node, topic: str) -> list[str]:
             continue
         sentences.append(f"{full_name(info)} receives nothing on {name}: {why}")
     return sentences
+
+
+def known_nodes(endpoints: Iterable[TopicEndpointInfo]) -> list[str]:
+    """Return the full names of the nodes of endpoints, without those that have not arrived or are gone."""
+    return [full_name(info) for info in endpoints if info.node_name != _UNKNOWN]
 
 
 def full_name(info: TopicEndpointInfo) -> str:

@@ -375,13 +375,13 @@ def test_a_periodic_dc_link_that_was_not_recorded_is_corrected(share, frequency)
 
 
 @pytest.mark.parametrize(
-    ("name", "course", "effect", "said"),
+    ("name", "course", "effect", "least", "most", "said"),
     [
-        ("ipm", lambda t: 0.01 * t, "link_drift", "changes by −"),
-        ("spm", lambda t: 0.005 * (t > 0.5), "link_ripple", "a step or a drift looks the same"),
+        ("ipm", lambda t: 0.01 * t, "link_drift", -1.02, -0.98, "changes by −"),
+        ("spm", lambda t: 0.005 * (t > 0.5), "link_ripple", 1 / 3, 1.0, "a step or a drift looks the same"),
     ],
 )
-def test_a_dc_link_that_drifts_or_steps_is_no_heat_and_its_mean_is_uncertain(name, course, effect, said):
+def test_a_dc_link_that_drifts_or_steps_is_no_heat_and_its_mean_is_uncertain(name, course, effect, least, most, said):
     """A drift of 1 % passed for heat, at two standard errors, and a step of 0.5 % was silently 4.7 of them off."""
     simulation = run_experiment(machine_map(name), replace(GOOD, speeds=(700.0,)), seconds=SECONDS)
     samples = simulation.samples
@@ -389,7 +389,7 @@ def test_a_dc_link_that_drifts_or_steps_is_no_heat_and_its_mean_is_uncertain(nam
     found = fitted(replace(samples, u_abc=samples.u_abc / (1 - fallen)[:, None]))
     effects = [entry for entry in found.calibrations if entry.applied and entry.name not in SMALL]
     assert [entry.name for entry in effects] == [effect]
-    assert np.ptp(fallen) / 3 < abs(effects[0].value) < 1.1 * np.ptp(fallen)
+    assert least * np.ptp(fallen) < effects[0].value < most * np.ptp(fallen)
     error = found.flux_map.psi - true_flux(simulation.truth, found.flux_map.grid())
     known = found.flux_map.inside & np.isfinite(error).all(axis=-1)
     sigma = np.stack([found.flux_map.sigma_d, found.flux_map.sigma_q], axis=-1)

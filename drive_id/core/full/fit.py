@@ -289,9 +289,9 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
     by_rivals = _with_rivals(solver, uncorrected, selection)
     undecided = _with_undecided(solver, corrected, selection, noise)
     by_curve = _among_curves(solver, solution, batches, crossed)
-    unseen = {_MAGNETS: _by_magnets(solver, solution, batches), _LINK: _by_link(solver, solution, selection, batches)}
-    by_open = {DELAY: by_delay} | undecided | unseen | left_out
-    open_effects = np.column_stack([*undecided.values(), *unseen.values(), *left_out.values(), *by_rivals.values()])
+    expected = {_MAGNETS: _by_magnets(solver, solution, batches), _LINK: _by_link(solver, solution, selection, batches)}
+    by_open = {DELAY: by_delay} | undecided | expected | left_out
+    open_effects = np.column_stack([*undecided.values(), *expected.values(), *left_out.values(), *by_rivals.values()])
     columns = [(name, np.column_stack([each])) for name, each in (*within, ("open", open_effects), ("curve", by_curve))]
     return _Judged(
         uncorrected=uncorrected, solution=solution, changes=np.hstack([each for _, each in columns]),

@@ -7,7 +7,8 @@ the MAD and for pictures, a short recording is kept whole, and eight evenly spac
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from drive_id.core.accumulation.accumulated import Accumulated
@@ -15,6 +16,7 @@ from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.accumulation.excerpts import Spans
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.numerics.threads import in_threads
 from drive_id.core.signals.join import Piece
 from drive_id.files.messages.signals_file import SignalMap
 from drive_id.files.read.extraction import DividedError, UnusualError
@@ -71,10 +73,11 @@ def _gathered(reading: SeveralBags, settings: FitSettings, *, compared: bool) ->
         evidence = prescan.prepare(settings, compared=compared) if known else None
         try:
             for piece, begins in reading.pieces("Accumulating" if known else "Reading", keep=not known):
-                prescan.add(piece.samples, continues=piece.continues)
                 spans.add(piece)
+                work = [partial(prescan.add, piece.samples, continues=piece.continues)]
                 if evidence is not None:
-                    _add(evidence, piece, begins=begins)
+                    work.append(partial(_add, evidence, piece, begins=begins))
+                in_threads(_done, work, len(work) if reading.threads else 1)
             break
         except UnusualError:
             reading.read_whole()
@@ -121,6 +124,10 @@ def _scanned(reading: SeveralBags, settings: FitSettings) -> Prescan:
         else:
             prescan.check(settings.method)
             return prescan
+
+
+def _done(work: Callable[[], None]) -> None:
+    work()
 
 
 def _add(evidence: Evidence, piece: Piece, *, begins: bool) -> None:

@@ -90,7 +90,7 @@ class SeveralBags:
         self._signals = signals
         self._namespace = namespace
         self._tell = tell
-        self._threads = threads
+        self.threads = threads
         self._whole: set[int] = set(range(len(bags))) if whole else set()
         self._number = 0
         self._part: DrivePart | None = None
@@ -188,7 +188,7 @@ class SeveralBags:
             self._signals,
             self._namespace,
             whole=self._number in self._whole,
-            threads=self._threads,
+            threads=self.threads,
             tell=tell,
             end=lambda facts: self._facts.append((path, facts)),
             part=None if part is None else range(part.begin, part.end),

@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from drive_id.common.temperature import COPPER
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full.between_samples import UNCERTAIN_SHARE
 from drive_id.core.full.delay import HALF, Delay, DelayJump
 from drive_id.core.full.effects.catalogue import CATALOGUE, without
+from drive_id.core.full.effects.effect import Fitted
 from drive_id.core.full.lack_of_fit import LackOfFit
 from drive_id.core.full.linearized import DELAY, EffectSearch, FoundEffects, with_columns
 from drive_id.core.full.model import RESISTANCE, FullModel, ModelSpec
@@ -50,12 +50,6 @@ the errors of clean drives up to sixtyfold.
 _BEND = 0.1
 """Of the drop at i_max, the standard deviation of the wide shapes of real inverters: R changes by as much as the data
 leave of that. The logarithm of on-state drops bends by 5 %; what random drives needed was 14 and 21 %."""
-_MAGNETS, _MAGNET_LOSS = "magnet_heating", 1.2e-3
-"""Effect of warm magnets, and the share of their flux that they lose, 1/K: 0.11 to 0.12 % of NdFeB, 0.2 % of ferrites,
-which are warmed less."""
-_LINK, _DRIFT = "link_drift", 5e-3
-"""Effect of a DC link that drifts, and by how much it may within a recording: rectified mains drift by up to 1 %,
-laboratory supplies by a tenth of it."""
 _PASSIVE_POINTS = 41
 """Per axis, at which passivity is tested: two to three for each usual cell."""
 _STIFFER, _ROUNDS = 10.0, 7
@@ -289,9 +283,10 @@ def _judged(selection: Selection, noise: CurrentNoise, *, passive: bool) -> _Jud
     by_rivals = _with_rivals(solver, uncorrected, selection)
     undecided = _with_undecided(solver, corrected, selection, noise)
     by_curve = _among_curves(solver, solution, batches, crossed)
-    expected = {_MAGNETS: _by_magnets(solver, solution, batches), _LINK: _by_link(solver, solution, selection, batches)}
+    expected = _as_expected(solver, solution, selection, batches)
     by_open = {DELAY: by_delay} | undecided | expected | left_out
-    open_effects = np.column_stack([*undecided.values(), *expected.values(), *left_out.values(), *by_rivals.values()])
+    every = [change for some in (undecided, expected, left_out, by_rivals) for change in some.values()]
+    open_effects = np.column_stack([np.zeros(sums.model.size), *every])
     columns = [(name, np.column_stack([each])) for name, each in (*within, ("open", open_effects), ("curve", by_curve))]
     return _Judged(
         uncorrected=uncorrected, solution=solution, changes=np.hstack([each for _, each in columns]),
@@ -390,35 +385,24 @@ def _with_undecided(
     return out
 
 
-def _by_magnets(solver: Solver, solution: FullSolution, batches: FloatArray) -> FloatArray:
-    """Return the change (size,) of the estimate by magnets as warm as the winding, as far as the data leave it open.
+def _as_expected(
+    solver: Solver, solution: FullSolution, selection: Selection, batches: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the change (size,) of the estimate by each effect that is expected, less where the data determine it.
 
-    A trajectory that visits each current once, such as a grid in rows, cannot tell the magnets' heat from the map.
+    A trajectory that visits each current once, such as a grid in rows, cannot tell what varies with time from the map.
     """
-    model, spec = solver.model, solution.spec
-    if "copper_heating" not in spec.effects or _MAGNETS in spec.effects or not spec.reciprocal:
-        return np.zeros(model.size)
-    rise = abs(float(solution.estimate[model.effect("copper_heating").start])) / max(solution.resistance, TINY) / COPPER
+    model, spec, out = solver.model, solution.spec, {}
     magnet = float(np.linalg.norm(model.flux.rows(np.zeros((1, 2))).dot(solution.estimate[model.map])))
-    return _as_expected(solver, solution, batches, _MAGNETS, _MAGNET_LOSS * rise * magnet)
-
-
-def _by_link(solver: Solver, solution: FullSolution, selection: Selection, batches: FloatArray) -> FloatArray:
-    """Return the change (size,) of the estimate by a link that drifts, as far as the data leave it open.
-
-    Where no current is met again later, as on a grid in rows, a map can follow the drift.
-    """
-    known = np.isfinite(selection.search.found.columns.link)
-    if known or _LINK in solution.spec.effects or not solution.spec.reciprocal:
-        return np.zeros(solver.model.size)
-    return _as_expected(solver, solution, batches, _LINK, _DRIFT)
-
-
-def _as_expected(solver: Solver, solution: FullSolution, batches: FloatArray, name: str, expected: float) -> FloatArray:
-    """Return the change (size,) of the estimate by an effect of an expected size, less where the data determine it."""
-    change, left = solver.by_column(solution, solver.model.effect(name).start)
-    certain = _grown(solution, batches) * solution.residual_rms / np.sqrt(left)
-    return np.asarray(change * expected * certain / max(np.hypot(expected, certain), TINY))
+    link = bool(np.isfinite(selection.search.found.columns.link))
+    values = {name: solution.estimate[model.effect(name)] for name in spec.effects}
+    fitted = Fitted(values, solution.resistance, magnet, link)
+    for name, effect in CATALOGUE.items() if spec.reciprocal else ():
+        if name not in spec.effects and (size := effect.expected(fitted)):
+            change, left = solver.by_column(solution, model.effect(name).start)
+            certain = _grown(solution, batches) * solution.residual_rms / np.sqrt(left)
+            out[name] = np.asarray(change * size * certain / np.hypot(size, certain))
+    return out
 
 
 def _grown(solution: FullSolution, batches: FloatArray) -> float:

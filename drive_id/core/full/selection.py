@@ -327,7 +327,7 @@ def _candidate(
     search = search_effects(sums, start, noise, allowed, turn if calibrated else 0.0, settings.pole_pairs or None)
     while True:
         solver, solution = search.solver, search.solution
-        if "current_latency" in solution.spec.effects:  # it moves the steps, too
+        if any(CATALOGUE[name].moves_steps for name in solution.spec.effects):
             solution = solver.solve(replace(solution.spec, crossing=False))
             solution = _with_early_steps(solver, solution, LEAST_BESIDE)
         significant = significant_orders(solver.model, solution, noise.windows.i_dq[:, 0])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -153,6 +153,16 @@ class Recorded:
 
 
 @dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a fit tells of effects that it lacks."""
+
+    values: Mapping[str, FloatArray]  # (K,), of the effects that it has
+    resistance: float  # ohm
+    magnet: float  # flux at zero current, Wb
+    link: bool  # whether the DC link was recorded
+
+
+@dataclass(frozen=True, eq=False)
 class Reported:
     """An effect that was found, to be reported."""
 
@@ -232,6 +242,8 @@ class DriveEffect(ABC):
     """Whether it shows only where speeds differ."""
     of_recorded_runs: ClassVar[bool] = False
     """Whether its phase holds for the recorded runs only, so that no simulation can have it."""
+    moves_steps: ClassVar[bool] = False
+    """Whether the drop steps at other times than those at which the measured currents change their signs."""
     attuned: ClassVar[bool] = False
     """Whether its columns have a frequency or a time constant, which is found anew with each linearization."""
     beside: ClassVar[str] = ""
@@ -257,6 +269,10 @@ class DriveEffect(ABC):
     def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:
         """Tell whether values (K,) are physically possible, with the angle per sample, rad, and the period, s."""
         return not self.positive or bool(value[0] >= 0)
+
+    def expected(self, _: Fitted) -> float:
+        """Return how much of it a drive may have though the fit lacks it, in the unit of its first column."""
+        return 0.0
 
     def shifts(self, _: Ends) -> list[ComplexArray]:
         """Return the currents (N, 2) that it adds to that of the map, per unit."""

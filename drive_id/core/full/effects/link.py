@@ -13,6 +13,7 @@ from drive_id.core.full.effects.effect import (
     MOST_RUNS,
     Calibration,
     DriveEffect,
+    Fitted,
     Linearized,
     Recorded,
     Reported,
@@ -34,6 +35,8 @@ _MOST = 0.2
 _MOST_DRIFT = 0.03
 """Rise within a recording, relative to the link, that no supply has: at low speed, a winding that warms by 26 K looks
 like one of 10 %."""
+_USUAL_DRIFT = 5e-3
+"""By which it may rise or fall unnoticed: rectified mains drift by up to 1 %, laboratory supplies by a tenth of it."""
 _FEW_TURNS = 3.0
 """Turns of a ripple within a run up to which it may stand for a step or a drift, after which the mean is another."""
 
@@ -131,6 +134,9 @@ class LinkDrift(DriveEffect):
 
     def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:  # noqa: D102
         return bool(abs(value[0]) < _MOST_DRIFT)
+
+    def expected(self, fit: Fitted) -> float:  # noqa: D102
+        return 0.0 if fit.link else _USUAL_DRIFT
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return [-at.windows.voltage * at.course]

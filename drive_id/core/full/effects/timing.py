@@ -107,7 +107,7 @@ class CurrentLatency(Latency):
     A filter with H = 1 / (1 + j omega tau) gives the currents H i and the flux H f(i), and u_f is the voltage after it.
     """
 
-    rotates, cause = True, ""
+    rotates, moves_steps, cause = True, True, ""
 
     def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
         return bool(value[0] > -_EARLIEST * period) and super().plausible(value, turn, period)

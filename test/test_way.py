@@ -56,7 +56,7 @@ HOLDERS = {
     },
     "of the machine that is analyzed, with its error modes": {"MachineModel", "ModelErrors", "ErrorModes"},
     "of a verification and its limits": {"Verification", "VerificationLimits"},
-    "an effect that is reported, relative to it": {"Reported"},
+    "an effect that is reported or expected, relative to it": {"Reported", "Fitted"},
     "on pictures and in lists of folders": {"Caption", "FoundResult"},
     "of plans": {"Prediction", "PlanSettings", "RoughMachine"},
     "of simulated drives, and their truth": {

@@ -25,6 +25,7 @@ from drive_id.core.checks.rotor import (
     unit_findings,
 )
 from drive_id.core.checks.single_samples import SingleSamples
+from drive_id.core.checks.truncation import truncation_findings
 from drive_id.core.checks.waveforms import waveform_findings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.numerics.bspline import Axis
@@ -191,6 +192,7 @@ class Prescan:
             self._single.findings(usual),
             repeat_findings(runs, usual) if runs else none,
             waveform_findings(runs, usual) if runs else none,
+            truncation_findings(runs) if runs else none,
             motion_findings(runs) if runs else none,
             reading_findings(runs, usual) if runs else none,
         )

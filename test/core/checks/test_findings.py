@@ -512,6 +512,29 @@ def test_a_coarse_phase(ipm):
     assert found(fine) == ()
 
 
+@pytest.mark.parametrize("frame", ["phases", "rotor"])
+@pytest.mark.parametrize("signal", ["current", "voltage"])
+def test_readings_that_are_cut_off_and_not_rounded(drives, signal, frame):
+    """By integers in the step of an 8-bit signal, of phases or of dq readings that were turned to phases."""
+    samples = drives["spm"]
+    name = "i_abc" if signal == "current" else "u_abc"
+    x_abc = getattr(samples, name)
+    x = x_abc if frame == "phases" else frames.to_dq(x_abc, samples.angle)
+    step = np.abs(x_abc).max() / 128
+
+    def told(to_integer):
+        kept = step * to_integer(x / step)
+        logged = kept if frame == "phases" else frames.to_abc(kept, samples.angle)
+        return {each.code: each for each in found(replace(samples, **{name: logged}))}.get("truncated")
+
+    cut_off = told(np.trunc)
+    assert cut_off.values["step"] == pytest.approx(step)
+    whole, cut = (np.abs(frames.space_vector(x)).mean() for x in (x_abc, step * np.trunc(x_abc / step)))
+    assert cut_off.values["share"] == pytest.approx(1 - cut / whole if frame == "phases" else 0.5 / 128, rel=0.3)
+    assert told(np.round) is None
+    assert told(np.floor) is None, "which the sum of the phases takes, or an offset"
+
+
 # -- good drives, and the way through evidence ----------------------------------------------------------------------
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future
 from dataclasses import replace
 from functools import reduce
 from itertools import pairwise
@@ -18,7 +19,7 @@ from drive_id.core.full.model import EFFECT_COLUMNS, FullModel
 from drive_id.core.full.windows import MEASURED, Terms, WindowCutter, Windows, interval, kept_of
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
 from drive_id.core.numerics.running_sums import SavedSums, exactly
-from drive_id.core.numerics.threads import MOST_THREADS, in_threads, one_blas_thread
+from drive_id.core.numerics.threads import MOST_THREADS, begun, in_threads, one_blas_thread
 from drive_id.types import TINY, BoolArray, FloatArray, Samples
 
 FOLDS = 5
@@ -59,6 +60,7 @@ class WindowSums:
         self._shared: set[int] = set()  # folds shared with a copy
         self._squares = np.zeros(FOLDS)  # of the columns of a free map, where those of the sums are reciprocal
         self._due: list[tuple[int, Terms]] = []  # folds and windows whose products are still to be formed
+        self._forming: Future[None] | None = None  # those under way in another thread
         self.effects: FloatArray | None = None
         """Z'z (FOLDS, size, EFFECT_COLUMNS), z being the columns of the effects; see :meth:`with_effects`."""
         self.known: dict[Any, Any] = {}  # to solvers of these folds, with any effects
@@ -299,6 +301,7 @@ class WindowSums:
 
     def triangles(self) -> list[FloatArray]:
         """Return the lower triangle of Z'Z of each fold, row by row, without the effects; not to be changed."""
+        self._settle()
         if not self._folds:
             size = self.model.summed.size
             self._folds = [np.zeros(size * (size + 1) // 2) for _ in range(FOLDS)]
@@ -308,6 +311,7 @@ class WindowSums:
     def unit(self) -> float:
         """Mean diagonal of Z'Z over the columns of a free map."""
         if self.model.reciprocal:
+            self._settle()
             return float(self._squares.sum() / self.model.flux.parameters)
         return float(self._map_diagonals().sum() / self.model.flux.parameters)
 
@@ -399,10 +403,26 @@ class WindowSums:
                 known[self._segment] = Windows.joined([known[self._segment], new] if self._segment in known else [new])
             self._thin()
         if len(self._due) >= _DUE:
-            self._form_products()
+            self._settle()  # no more than one batch waits
+            self._forming = begun(self._products_due())
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what a copy, also in another process, begins with."""
+        self._settle()
+        return self.__dict__
+
+    def _settle(self) -> None:
+        """Wait for the products under way."""
+        forming, self._forming = self._forming, None
+        if forming is not None:
+            forming.result()
 
     def _form_products(self, threads: int = MOST_THREADS) -> None:
         """Add the products of the segments that are due to their folds."""
+        self._products_due(threads)()
+
+    def _products_due(self, threads: int = MOST_THREADS) -> Callable[[], None]:
+        """Return what adds the products of the segments that are due to their folds."""
         by_fold: dict[int, list[Terms]] = {}
         for number, windows in self._due:
             by_fold.setdefault(number, []).append(windows)
@@ -417,8 +437,11 @@ class WindowSums:
             if model.reciprocal:
                 self._squares[number] += model.map_squares(windows)
 
-        with one_blas_thread():
-            in_threads(add, sorted(by_fold), threads)
+        def form() -> None:
+            with one_blas_thread():
+                in_threads(add, sorted(by_fold), threads)
+
+        return form
 
     def _restart(self) -> None:
         self._cutter.restart(SEGMENT * self._next_start(), self._recording, self._lasts())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from typing import TypeVar
@@ -61,6 +61,16 @@ def in_threads(work: Callable[[Item], Result], items: Sequence[Item], most: int 
         return [checked(item) for item in items]
     with ThreadPoolExecutor(threads, "fit") as pool:
         return list(pool.map(checked, items))
+
+
+def begun(work: Callable[[], None]) -> Future[None]:
+    """Begin ``work`` in a thread of its own; where :func:`in_threads` takes no other one, do it."""
+    pool = ThreadPoolExecutor(1, "fit")
+    future = pool.submit(work)
+    if _background.alone or usable_cores() < 2:
+        future.result()
+    pool.shutdown(wait=False)
+    return future
 
 
 _limit = threading.Lock()  # held by whoever limits BLAS: only the thread that set a limit can restore it

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timezone
 
@@ -12,6 +12,7 @@ from drive_id.common.messages import Message
 from drive_id.common.origins import METHODS, ORIGINS
 from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.core.fit_settings import FitSettings
+from drive_id.core.maps.coverage import LARGE_FLUX
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import score
 from drive_id.core.result.mechanics import with_mechanics
@@ -56,7 +57,7 @@ def completed(
         bool(settings.temperatures) or any(part.winding_temperature is not None for part in excerpts)
     )
     when = datetime.fromtimestamp(last_stamp * 1e-9, timezone.utc) if last_stamp > _YEAR_2000 else None
-    warnings += _ignored(settings)
+    warnings += (*_ignored(settings), *_implausible(drive, settings.pole_pairs, recorded))
     if nrmse and not np.isfinite(nrmse).all():
         warnings += (Message("not_scored"),)
     speeds = [float(end) for part in excerpts for end in (part.speed.min(), part.speed.max())]
@@ -75,6 +76,16 @@ def completed(
         last_stamp=max(last_stamp, 0),
     )
     return Identification(drive, provenance, tuple(excerpts), truth, last_stamp)
+
+
+def _implausible(drive: IdentifiedDrive, given: int | None, recorded: int | None) -> Iterator[Message]:
+    """Yield what no machine has, or contradicts the recording: a wrong unit or setting, which fits as well."""
+    flux_map = drive.flux_map
+    largest = float(np.abs(flux_map.psi[flux_map.inside]).max(initial=0.0))
+    if largest > LARGE_FLUX:
+        yield Message("large_flux", flux=largest, voltage=2 * np.pi * 50 * largest)
+    if given and recorded and given != recorded:
+        yield Message("other_pole_pairs", given=given, recorded=recorded)
 
 
 def _link(settings: FitSettings, truth: GroundTruth | None, excerpts: Sequence[Samples]) -> float | None:

@@ -17,7 +17,17 @@ from drive_id.files.messages.signal_sources import SPEED_UNITS
 from drive_id.inspection.choice import TURNS, Choice, blank_columns, choose
 from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, TimeColumn, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import listed, name_groups, printable, quoted, suggests, words
+from drive_id.inspection.names import (
+    is_temperature,
+    listed,
+    name_groups,
+    printable,
+    quoted,
+    stated_unit,
+    suggests,
+    unit_scale,
+    words,
+)
 from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link, unit_factor
 from drive_id.inspection.scales import LARGEST_SHARE, full_scale, is_whole, may_be_half, open_scale, zero_reading
 from drive_id.inspection.static_draft import is_slow, static_draft
@@ -29,12 +39,16 @@ _POOR = 0.35
 """Share of the voltage, unexplained, from which the choice itself is in doubt."""
 _LARGEST_CURRENT = 5000.0
 """Largest plausible current, A, the same as in the check ``current_scale``."""
+_LARGEST_LINK = 1500.0
+"""Largest usual DC-link voltage, V: a larger constant is likely in other units."""
 _ASSUMED_LINK = 400.0
 """DC-link voltage, V, for which the scale of duty cycles is written where the log holds none."""
 _MOST_POLE_PAIRS = 24
 """Pole pairs that are tried as the ratio of an electrical angle and the speed of a shaft."""
 _SAME_SPEED = 0.004
 """Relative difference of a speed and that of the angle, up to which they are the same."""
+_VARIED = 0.05
+"""Relative difference of two speeds."""
 _SAME_TURN = 1e-6
 """Relative difference up to which an angle starts again at a turn of its unit."""
 _NO_OFFSET = 0.035
@@ -52,6 +66,10 @@ _RESOLVERS = {"resolver", "res", "rdc", "rslv"}
 """Words of a sensor that may have several pole pairs of its own."""
 _RPM = {"rpm", "min", "umin", "n", "drehzahl"}
 """Words of a speed in rpm: of six times as many pole pairs, it would be in degrees per second."""
+_WINDING = {"winding", "wicklung", "stator", "copper", "coil"}
+"""Words of what has the temperature of a winding."""
+_COLDEST, _HOTTEST = -60.0, 250.0
+"""Temperatures of windings, degrees Celsius."""
 _GAP = 1.5
 """Median steps of the stamps, from which on samples are missing between."""
 
@@ -112,6 +130,7 @@ class _DraftText:
     def draft(self) -> Draft:
         """Return the proposal."""
         body = [*self._currents(), "", *self._voltages(), "", *self._rotor(), *self._reference(), *self._optional()]
+        self._tell_rivals()
         if blank := blank_columns(self._contents):
             self._unsure.append(f"The log holds {blank}.")
         left = self.unexplained
@@ -122,6 +141,25 @@ class _DraftText:
             )
         remark = f"A rough machine model explains all but {100 * left:.2g} % of the voltage with it."
         return _draft(self._contents, remark, body, self._unsure)
+
+    def _tell_rivals(self) -> None:
+        """Say which further columns are named for currents or voltages, as of another drive, or measured ones."""
+        choice = self._choice
+        kinds = (("currents", "current", choice.currents), ("voltages, of which the commanded are needed", "voltage",
+                 choice.voltages))  # fmt: skip
+        for what, meaning, found in kinds:
+            others = [
+                ", ".join(group.names)
+                for table in self._tables
+                for group in name_groups([name for name, x in table.columns.items() if np.ptp(x) > 0])
+                if group.frame == found.group.frame and suggests(group.stem, meaning) and len(group.names) > 1
+                and not (meaning == "current" and suggests(group.stem, "reference"))
+                and not self._taken & {*group.names}
+            ]  # fmt: skip
+            if others:
+                self._unsure.append(
+                    f"{others[0]} are named for {what}, too; {', '.join(found.group.names)} were taken."
+                )
 
     def _source(self, table: Table) -> list[str]:
         """Return the settings that give the place and time of a table's samples."""
@@ -176,6 +214,7 @@ class _DraftText:
         lines = [f"  fields: {i.group.fields(i.signs)}", *_frame(i)]
         zero, largest = zero_reading(i), float(np.abs(i.values).max())
         factor, open_ = i.unit_factor or 1.0, open_scale(i.values, i.unit_factor, "A", i.group.frame)
+        open_ += _other_unit(i, "A")
         if zero.any():
             open_ = [f"A per count: these are raw readings of an A/D converter, {_numbers(zero)} without current"]
         elif i.unit_factor is None and largest > _LARGEST_CURRENT:
@@ -215,7 +254,7 @@ class _DraftText:
         if full:
             lines.append(self._duty_scale(u, full))
         else:
-            open_ = open_scale(u.values, u.unit_factor, "V", u.group.frame)
+            open_ = [*open_scale(u.values, u.unit_factor, "V", u.group.frame), *_other_unit(u, "V")]
             signs = np.array(u.signs or (1,) * len(names))
             signs = signs[list(reading.voltage_order)] if len(names) == 3 else signs
             lines += self._scale("voltages", _numbers((u.unit_factor or 1.0) * signs), open_)
@@ -366,6 +405,10 @@ class _DraftText:
             return electrical * pairs, pairs, f"               # by {printable(name)}, in {unit} of the shaft"
         if of_sensor:
             what = "count" if counts else "angle"
+            self._unsure.append(
+                f"The pole pairs, {pole_pairs}, hold if the {what} starts again once per turn of the shaft: torque is "
+                "proportional to them."
+            )
             return choice.turn, pole_pairs, f"               # if the {what} starts again once per turn of the shaft"
         self._unsure.append(
             f"The log shows {electrical:.6g} {angle.like.unit} per electrical turn, but not the pole pairs: for torque "
@@ -396,16 +439,19 @@ class _DraftText:
         if x[-1] == x[0] or not 0 < seconds[half] < seconds[-1]:
             return
         by_angle = np.array([(x[-1] - x[0]) / seconds[-1], (x[half] - x[0]) / seconds[half]])
+        varied = abs(by_angle[1] / by_angle[0] - 1) > _VARIED  # any constant is some multiple of a constant speed
         columns = sorted(angle.table.columns.items(), key=lambda column: not suggests(column[0], "speed"))
         for name, y in columns:
             if name in self._taken or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
                 continue
-            means, named = np.array([y.mean(), y[:half].mean()]), suggests(name, "speed")
+            means = np.array([y.mean(), y[:half].mean()])
+            named = suggests(name, "speed") or suggests(angle.table.unit(name), "speed")
             fitting: list[tuple[int, str, int]] = []
             for pairs, (unit, factor) in product(range(1, _MOST_POLE_PAIRS + 1), SPEED_UNITS.items()):
                 ratios = means * factor * pairs / by_angle
                 near = np.abs(np.abs(ratios) - 1)
-                sure = named or (np.ptp(y) > 0 and pairs == 1) or (unit == "rpm" and near.max() < _SAME_SPEED / 4)
+                alike = pairs == 1 or (unit == "rpm" and varied and near.max() < _SAME_SPEED / 4)
+                sure = named or (np.ptp(y) > 0 and alike)
                 if near[0] < _SAME_SPEED and near[1] < 2.5 * _SAME_SPEED and sure:
                     fitting.append((pairs, unit, 1 if ratios[0] > 0 else -1))
             said = bool(words(f"{name} {angle.table.unit(name)}") & _RPM)
@@ -441,20 +487,54 @@ class _DraftText:
         return []
 
     def _optional(self) -> list[str]:
+        found = [*self._optional_link(), *self._optional_temperature()]
+        return ["", "optional:", *found] if found else []
+
+    def _optional_link(self) -> list[str]:
         if self._link is None or not is_named_link(*self._link):
             return []
         table, name = self._link
-        time = [f"  {line}" for line in self._time(table, []) if "equally" not in line and "first_sample" not in line]
         factor, open_ = _link_scale(table, name)
         follows = "R and map depend on it" if full_scale(self._choice.voltages) else "torque over speed depends on it"
         scale = [f"  {line}" for line in self._scale("DC-link voltage", f"{factor:g}", open_, follows)]
-        return ["", "optional:", "  dc_link_voltage:", *time, f"    field: {quoted(name)}", *scale]
+        return ["  dc_link_voltage:", *self._scalar(table, name), *scale]
+
+    def _optional_temperature(self) -> list[str]:
+        """Return the column that is named for the temperature of the winding, in degrees Celsius or K."""
+        for table in self._tables:
+            for name, x in table.columns.items():
+                unit = table.unit(name)
+                kelvin = unit_scale(name, unit)[1] == "K"
+                celsius = x - 273.15 * kelvin
+                if (
+                    is_temperature(name, unit)
+                    and words(name) & _WINDING
+                    and name not in self._taken
+                    and np.all((celsius > _COLDEST) & (celsius < _HOTTEST))
+                ):
+                    offset = ["    offset: -273.15"] if kelvin else []
+                    return ["  winding_temperature:", *self._scalar(table, name), *offset]
+        return []
+
+    def _scalar(self, table: Table, name: str) -> list[str]:
+        """Return the lines of an optional signal: its time and its field."""
+        time = [f"  {line}" for line in self._time(table, []) if "equally" not in line and "first_sample" not in line]
+        return [*time, f"    field: {quoted(name)}"]
+
+
+def _other_unit(found: PhaseGroup, unit: str) -> list[str]:
+    """Return what is open about the scale of columns that state a unit of something else, such as %."""
+    names = found.group.names
+    of_another = unit_factor(found.table, names, "AV") == 0
+    said = "".join(stated_unit(names[0], found.table.unit(names[0])))
+    return [f"{unit} per {said}, the unit that their names state"] if of_another else []
 
 
 def _link_scale(table: Table, name: str) -> tuple[float, list[str]]:
     """Return the factor from the column of the DC link to V, and what is open about it."""
     x, factor = table.columns[name], unit_factor(table, (name,), "V")
-    return factor or 1.0, open_scale(x, factor, "V") if np.ptp(x) > 0 else []  # a constant is a setting, in V
+    setting = np.ptp(x) == 0 and x[0] <= _LARGEST_LINK  # in V, as it was typed
+    return factor or 1.0, [] if setting else open_scale(x, factor, "V")
 
 
 def _frame(found: PhaseGroup) -> list[str]:

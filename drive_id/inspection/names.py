@@ -23,13 +23,30 @@ _WORDS = {
     "dc": ("dc", "udc", "vdc", "ubus", "vbus", "bus", "link", "dclink", "zk", "uzk", "battery", "supply"),
     "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds", "sec", "secs", "today", "elapsed"),
 }  # fmt: skip
-_UNITS_IN_NAMES = (
-    re.compile(rf"[\[({{</] *{UNIT} *[\])}}>]?(?: \(\d+\))?$", re.IGNORECASE),  # I1 [mA], I1/mA
-    re.compile(rf"(?:^|[_ ]){UNIT}(?: \(\d+\))?$"),  # I1_mA, I1 in mA; or the unit alone, as a log gives it
-    re.compile(r"^([nuµm])(s)_"),  # ms_today
+_UNIT = "(?P<prefix>" + UNIT[1:].replace(")(", ")(?P<base>", 1)
+_UNITS_IN_NAMES = (  # I1 [mA], I1/mA, I1 [0.1A]; I1_mA, I1 in mA, or the unit alone, as a log gives it; ms_today
+    re.compile(rf"[\[({{</] *(?:(?P<factor>\d*[.,]?\d+) ?\*? ?)?{_UNIT} *[\])}}>]?(?: \(\d+\))?$", re.IGNORECASE),
+    re.compile(rf"(?:^|[_ ]){_UNIT}(?: \(\d+\))?$"),
+    re.compile(r"^(?P<prefix>[nuµm])(?P<base>s)_"),
 )
 FACTORS = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 """Factor to the base of a unit by its prefix."""
+_MEASURED = {"meas", "measured", "mes", "ist", "act", "actual", "fb", "feedback", "sensed"}
+_DERIVED = {
+    "filt",
+    "filtered",
+    "flt",
+    "lp",
+    "lpf",
+    "obs",
+    "observer",
+    "observed",
+    "est",
+    "estimate",
+    "estimated",
+    "smooth",
+}
+_TEMPERATURE = {"temp", "temperature", "temperatur", "ntc", "pt", "thermo"}
 _LABVIEW_TIME = "x_value"
 _YAML_WORDS = ("y", "n", "yes", "no", "on", "off", "true", "false", "null")
 _UNITS = {"current": "A", "voltage": "V"}
@@ -64,22 +81,56 @@ def suggests(name: str, meaning: str) -> bool:
     """Whether a name suggests ``current``, ``voltage``, ``reference``, ``angle``, ``speed``, ``dc``, ``time``."""
     lower = name.lower().strip()
     marked = _UNITS_IN_NAMES[0].search(name.strip())
-    unit = marked is not None and marked[2].upper() == _UNITS.get(meaning)
+    unit = marked is not None and marked["base"].upper() == _UNITS.get(meaning)
     own = words(name) | ({"time"} if lower == _LABVIEW_TIME else set())
     long = any(word.startswith(stem) for stem in _WORDS[meaning] if len(stem) > 3 for word in own)
     return unit or long or bool(own & set(_WORDS[meaning]))
 
 
+def is_commanded(name: str) -> bool:
+    """Tell whether a name says that what it holds was commanded."""
+    return suggests(name, "reference")
+
+
+def is_measured(name: str) -> bool:
+    """Tell whether a name says that what it holds was measured."""
+    return bool(words(name) & _MEASURED)
+
+
+def is_derived(name: str) -> bool:
+    """Tell whether a name says that what it holds was filtered or estimated."""
+    return bool(words(name) & _DERIVED)
+
+
+def is_temperature(name: str, given: str = "") -> bool:
+    """Tell whether a name, or the unit that the log gives, says that what it holds is a temperature."""
+    unit = _stated(name, given)[2]
+    return bool(words(name) & _TEMPERATURE) or unit in ("C", "°C", "K") or name.startswith(("T_", "t_"))
+
+
 def stated_unit(name: str, given: str = "") -> tuple[str, str]:
     """Return prefix and base of the unit that the log gives, or that a name holds: ``I1 [mA]``, ``I1/mA``, ``u_kV``.
 
-    Both are empty if none is stated. A phase may pass for a unit, as in ``u_V``: other phases tell.
+    Both are empty if none is stated, or a multiple of one, as in ``I1 [0.1A]``. A phase may pass for a unit, as in
+    ``u_V``: other phases tell.
     """
+    number, prefix, base = _stated(name, given)
+    return (prefix, base) if number == 1 else ("", "")
+
+
+def unit_scale(name: str, given: str = "") -> tuple[float, str]:
+    """Return the factor to the base of the unit that is stated, 0.1 for ``I1 [0.1A]``, and the base, empty for none."""
+    number, prefix, base = _stated(name, given)
+    return number * FACTORS[prefix], base
+
+
+def _stated(name: str, given: str) -> tuple[float, str, str]:
     said = next((found for pattern in _UNITS_IN_NAMES if (found := pattern.search(given or name.strip()))), None)
     if said is None:
-        return "", ""
-    base = said[2].upper() if said[2] in ("a", "v") else said[2].lower() if said[2] == "S" else said[2]
-    return said[1].lower().replace("µ", "u"), base
+        return 1.0, "", ""
+    number, base = said.groupdict().get("factor") or "1", said["base"]
+    base = base.upper() if base in ("a", "v") else base.lower() if base == "S" else base
+    return float(number.replace(",", ".")), said["prefix"].lower().replace("µ", "u"), base
 
 
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:

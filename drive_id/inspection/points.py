@@ -14,7 +14,15 @@ import numpy as np
 
 from drive_id.core.checks.recognition import AngleLike
 from drive_id.inspection.contents import Table
-from drive_id.inspection.names import FACTORS, NameGroup, stated_unit, suggests
+from drive_id.inspection.names import (
+    NameGroup,
+    is_commanded,
+    is_derived,
+    is_measured,
+    is_temperature,
+    suggests,
+    unit_scale,
+)
 from drive_id.types import FloatArray
 
 _BY_COLUMN = 2.0
@@ -23,6 +31,9 @@ _BY_TABLE = 1.0
 """The same for the name of its table, which holds other columns as well."""
 _UNBALANCED = 0.05
 """Sum of the phases, by their size, above which they are no currents of a machine without a neutral wire."""
+_PREFERRED = 0.25
+"""Points by which one of several columns of a meaning is preferred: commanded voltages, measured currents, and nothing
+that was filtered or estimated."""
 _LEAST_LINK = 5.0
 """Mean, V, from which a nearly constant column may be the DC-link voltage; lower ones are supplies of electronics."""
 _STEADY = 0.25
@@ -61,8 +72,8 @@ class AngleColumn:
 
 def unit_factor(table: Table, names: Sequence[str], bases: str) -> float | None:
     """Return the factor to one of the ``bases`` by the unit that all names state; None for none, 0 for another base."""
-    prefix, base = (stated := {stated_unit(name, table.unit(name)) for name in names}).pop()
-    return None if stated or not base else FACTORS[prefix] * (base in bases)
+    factor, base = (stated := {unit_scale(name, table.unit(name)) for name in names}).pop()
+    return None if stated or not base else factor * (base in bases)
 
 
 def _hints(column: str, table: str, meaning: str) -> float:
@@ -76,6 +87,7 @@ def current_points(found: PhaseGroup) -> float:
     points -= 4.0 * (found.group.frame == "line_to_line")  # only voltages are measured so
     common = float(np.abs(found.values.sum(axis=1)).mean() / np.abs(found.values).mean())
     points += len(found.values.T) == 3 and common < _UNBALANCED
+    points += _PREFERRED * (is_measured(found.group.stem) - is_derived(found.group.stem))
     return points + (found.group.frame == "abc")  # measured; d and q are often references or filtered
 
 
@@ -83,13 +95,16 @@ def voltage_points(found: PhaseGroup) -> float:
     """Return what speaks for voltages."""
     hints = partial(_hints, found.group.stem, found.table.name)
     points = hints("voltage") - hints("current")
+    stem = found.group.stem
+    points += _PREFERRED * (is_commanded(stem) - is_measured(stem) - is_derived(stem))
     points += 0.5 * (found.group.frame == "abc")  # among equals: needs no angle
     return points + 0.1 * len(found.values.T)  # among equals: three rather than two of them
 
 
 def angle_points(found: AngleColumn) -> float:
     """Return what speaks for the angle."""
-    return _hints(found.name, found.table.name, "angle") + found.like.certain + found.like.wraps
+    points = _hints(found.name, found.table.name, "angle") + found.like.certain + found.like.wraps
+    return points - _PREFERRED * is_derived(found.name)
 
 
 _LINK_NAMED = 2.0
@@ -120,7 +135,12 @@ def is_named_link(table: Table, name: str) -> bool:
 def _link_points(table: Table, name: str) -> float:
     factor = unit_factor(table, (name,), "V")
     x = table.columns[name] * (1.0 if factor is None else factor)
-    if len(x) < 3 or not np.isfinite(x).all() or not (x.mean() > _LEAST_LINK and x.std() < _STEADY * x.mean()):
+    if (
+        len(x) < 3
+        or is_temperature(name, table.unit(name))
+        or not np.isfinite(x).all()
+        or not (x.mean() > _LEAST_LINK and x.std() < _STEADY * x.mean())
+    ):
         return 0.0
     points = _LINK_NAMED * _hints(name, table.name, "dc")
     if x.std() > 0:  # measured, and no setting

@@ -8,14 +8,20 @@ import numpy as np
 
 from drive_id.inspection.clock import stamp_unit, timed
 from drive_id.inspection.contents import Contents, Table
-from drive_id.inspection.names import listed, name_groups, quoted, suggests, words
+from drive_id.inspection.names import listed, name_groups, quoted, stated_unit, suggests, words
 from drive_id.inspection.points import unit_factor
 from drive_id.inspection.scales import open_scale
 
-_RPM = {"rpm", "n", "min", "drehzahl", "speed"}
-"""Words of a speed that is likely one of the shaft, in rpm."""
-_ELECTRICAL = {"erpm", "el", "elec", "electrical"}
-"""Words of a speed that is electrical; the first is one in rpm."""
+_RPM = {"n", "min", "drehzahl", "speed"}
+"""Words of a speed that is likely one in rpm, though no unit is stated."""
+_STATED = {"rpm": "rpm", "erpm": "rpm", "rps": "rev/s", "hz": "rev/s", "dps": "deg/s"}
+"""Words that are the unit of a speed."""
+_UNITS = {"rpm": "rpm", "min-1": "rpm", "1/min": "rpm", "U/min": "rpm", "rad/s": "rad/s", "Hz": "rev/s"}
+"""Units of speeds by what logs call them."""
+_SHAFT = {"rpm", "rps", "mech", "mechanical", "shaft", "m", "rotor", "motor", "mot"} | _RPM
+"""Words of the speed of a shaft."""
+_ELECTRICAL = {"erpm", "el", "elec", "electrical", "e", "hz"}
+"""Words of a speed that is electrical."""
 _SLOW = 5e-3
 """Time between rows, s, from which on a log is too slow for method ``full``."""
 
@@ -34,8 +40,9 @@ def static_draft(contents: Contents) -> tuple[list[str], list[str]] | None:
     """
     for table in contents.tables:
         pairs = [group for group in name_groups(list(table.columns)) if group.frame == "dq"]
-        pairs = [group for group in pairs if not suggests(group.stem, "reference")]
-        currents = [group.names for group in pairs if suggests(group.stem, "current")]
+        measured = [group for group in pairs if not suggests(group.stem, "reference")]
+        currents = [group.names for group in measured if suggests(group.stem, "current")]
+        pairs.sort(key=lambda group: suggests(group.stem, "reference"), reverse=True)  # voltages are commanded
         voltages = [group.names for group in pairs if suggests(group.stem, "voltage") and group.names not in currents]
         taken = {name for group in pairs for name in group.names}
         speeds = [name for name in table.columns if suggests(name, "speed") and name not in taken]
@@ -60,8 +67,7 @@ def _lines(
             unsure.append(f"The unit of {time} was taken to be s.")
     elif not len(table.stamp):
         unsure.append("The log has no time column, so each row is taken for an operating point.")
-    shaft = bool(words(speed) & _RPM) and not words(speed) & _ELECTRICAL
-    unit = "rpm" if words(speed) & {*_RPM, "erpm"} else "rad/s"
+    unit, shaft, open_speed = _speed_of(speed, table.unit(speed))
     unsure.append(
         f"{speed} was taken as {f'the speed of the shaft in {unit}' if shaft else f'the electrical speed in {unit}'}: "
         "the fluxes follow its unit" + (" and pole_pairs, which no data show." if shaft else ".")
@@ -76,10 +82,22 @@ def _lines(
         open_ = open_scale(x[np.isfinite(x)], factor or None, unit_[0], "dq")
         body += [f"{what}:", "  frame: dq", f"  fields: {listed(names)}   # {unit_}, peak"]
         body += [f"  scale: {factor or 1:g}   # EDIT: {'; '.join(open_)}"]
-    body += ["resolver:", f"  speed: {quoted(speed)}", f"  speed_unit: {unit}"]
+    mark = f"   # EDIT: {'; '.join(open_speed)}" if open_speed else ""
+    body += ["resolver:", f"  speed: {quoted(speed)}", f"  speed_unit: {unit}{mark}"]
     if shaft:
         body += ["  mechanical: true", "  pole_pairs: 1   # EDIT: that of the machine"]
     return body, unsure
+
+
+def _speed_of(name: str, given: str) -> tuple[str, bool, list[str]]:
+    """Return the unit of a speed, whether it is that of the shaft, and what neither the log nor its name states."""
+    own = words(name)
+    known = _UNITS.get(stated_unit(name, given)[1]) or next((_STATED[word] for word in _STATED if word in own), "")
+    shaft, electrical = bool(own & _SHAFT or known == "rpm"), bool(own & _ELECTRICAL)
+    open_ = [] if known else ["the log states no unit"]
+    if not (shaft or electrical):
+        open_.append("if it is that of the shaft, add mechanical: true and pole_pairs")
+    return known or ("rpm" if own & _RPM else "rad/s"), shaft and not electrical, open_
 
 
 def _is_time(values: np.ndarray[tuple[int, ...], np.dtype[np.float64]]) -> bool:

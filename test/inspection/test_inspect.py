@@ -140,6 +140,7 @@ WRONG = {
         "phase_stuck",
         lambda s: {"i_abc": np.where((np.arange(len(s)) // 400 == 9)[:, None] * [False, True, False], 1.5, s.i_abc)},
     ),
+    "cut off to half a volt": ("truncated", lambda s: {"u_abc": np.trunc(2 * s.u_abc) / 2}),
     "coarse converter": ("phase_quantized", lambda s: {"i_abc": np.round(s.i_abc / 10) * 10}),
     "one corner": ("coverage", narrow),
     "every third current": ("held_currents", lambda s: {"i_abc": np.repeat(s.i_abc[::3], 3, axis=0)[: len(s)]}),
@@ -469,7 +470,7 @@ def test_an_angle_ahead_that_no_data_show_is_a_guess(ahead, tmp_path, samples):
     warnings = read_recording(path, parse_signals(draft.text, "the draft")).warnings
     scale, found = [message for message in warnings if message.code == "guessed_setting"]
     assert (scale.values["setting"], found.values["setting"]) == ("scale: 1", "angle_advance: 0.0")
-    assert draft.text.splitlines()[found.values["line"] - 1].strip().startswith("angle_advance: 0.0  # EDIT")
+    assert draft.text.splitlines()[int(found.values["lines"]) - 1].strip().startswith("angle_advance: 0.0  # EDIT")
     assert "R and the fluxes" in str(found)
     assert "angle_offset: 0 " in draft.text
     told = re.sub("angle_advance: 0.0  # EDIT.*", f"angle_advance: {ahead}", draft.text.replace("scale: 1  ", "#"))

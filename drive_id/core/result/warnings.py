@@ -28,6 +28,8 @@ _INDEFINITE = 0.1
 _INDEFINITE_IN_ITSELF = 0.25  # the same without such a simulation
 _MINOR = {"voltage_clipped", "phase_quantized", "single_vectors", "speed_drift", "outlier"}
 """Findings that move a map by percents: alone, they make no result impossible."""
+_LEAST_SHIFT = 2.0  # samples: a shift in time that the checks report is of three at least
+_MISFITS = {"misfit", "not_reciprocal"}
 _DECIMATED = (-0.55, -0.22)  # delays of the voltages, samples, of a log with every n-th sample: -(n - 1)/(2 n)
 _DECIMATED_TURN = np.deg2rad(4.0)  # per sample, at least
 
@@ -45,6 +47,7 @@ def review(
             finding
             for finding in evidence.findings
             if finding.code != "outlier" or estimate.outlying_time is None  # the fit knows the time more precisely
+            if finding.code != "time_shift" or not _simultaneous(estimate)
         ),
         *radius_warnings(evidence, coverage),
         *_on_fit(estimate, limits),
@@ -53,6 +56,16 @@ def review(
         *estimate.warnings,
         *_on_simulation(evidence, estimate, mad, limits),
     )
+
+
+def _simultaneous(estimate: Estimate) -> bool:
+    """Tell whether a fit that looks for a delay found none of samples, and explains the voltages without one.
+
+    The rough model of the checks knows neither saturation nor the bends of the inverter's curve.
+    """
+    delay = next((c.value for c in estimate.calibrations if c.name == "voltage_delay"), np.nan)
+    misfit = any(said.code.partition(".")[0] in _MISFITS for said in estimate.warnings)
+    return bool(abs(delay) < _LEAST_SHIFT) and not misfit
 
 
 def condemned(evidence: Evidence, estimate: Estimate, mad: tuple[float, float], limits: Limits) -> Message | None:

@@ -434,7 +434,7 @@ class SignalMap:
     """ROS distribution whose message definitions are used for bags that carry none."""
     definitions: dict[str, str] = field(default_factory=dict)
     """More message definitions, type name to ``.msg`` text, for bags that carry none."""
-    guessed: dict[str, int] = field(default_factory=dict)
+    guessed: dict[str, list[int]] = field(default_factory=dict)
     """Settings that a signals file still marks as guesses, ``sample_period: 0.0001  # EDIT``, with their lines."""
 
     def sources(self) -> dict[str, TimeSource]:

@@ -94,10 +94,10 @@ def parse_signals(text: str, where: str) -> SignalMap:
             f"typestore in {where} is '{values['typestore']}': it must be one of {', '.join(TYPESTORES)}."
         )
     values["definitions"] = _definitions(tree.get("definitions", {}), where)
-    values["guessed"] = {}  # each with its first line
+    values["guessed"] = {}
     for number, line in enumerate(text.splitlines(), 1):
         if marked := _GUESS.match(line):
-            values["guessed"].setdefault(marked[1], number)
+            values["guessed"].setdefault(marked[1], []).append(number)
     return SignalMap(**values)
 
 

@@ -49,6 +49,7 @@ _FOLLOWS = {
     "scale": "R and all fluxes, all currents, or the DC link, are proportional to it",
     "offset": "it goes with the scale, and the currents are off by its error",
     "pole_pairs": "the fluxes are inversely proportional to it",
+    "speed_unit": "the fluxes are inversely proportional to it",
     "angle_offset": "the map's axes turn by its error, and are exchanged or reversed by 90 degrees or more",
     "angle_advance": "R and the fluxes are wrong where the drive's angle is ahead, by 0.5 or 1.5 as a rule",
 }
@@ -116,9 +117,11 @@ def bag_pieces(
 
 def guesses(signals: SignalMap) -> Iterator[Message]:
     """Yield the settings of a signals file that its draft guessed and nobody confirmed."""
-    for setting, line in signals.guessed.items():
+    for setting, lines in signals.guessed.items():
         what = _FOLLOWS.get(setting.partition(":")[0], "the result depends on it")
-        yield Message("guessed_setting", setting=setting, line=line, what=what)
+        yield Message(
+            "guessed_setting", setting=setting, lines=", ".join(map(str, lines)), several=len(lines) > 1, what=what
+        )
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from drive_id.bench.machines import MACHINES
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
-from drive_id.core.checks import readings
+from drive_id.core.checks import readings, waveforms
 from drive_id.core.checks.balance import Excerpt
 from drive_id.core.checks.prescan import Prescan
 from drive_id.core.checks.repeats import repeat_findings
@@ -500,6 +500,15 @@ def test_a_stuck_phase(ipm):
         finding = next(finding for finding in found(samples) if finding.code == "phase_stuck")
         assert finding.kind == "error"
         assert said in finding
+
+
+def test_the_crest_of_a_slow_wave_in_coarse_steps_is_not_stuck(ipm):
+    wave = 74.0 * np.cos(2 * np.pi * (24.0 * 1e-4 * np.arange(len(ipm)))[:, None] - 2 * np.pi / 3 * np.arange(3))
+    coarse = np.round(wave)
+    assert waveforms._held_phase(np.repeat(coarse, 2, axis=0), 74.0) is None
+    stuck = coarse.copy()
+    stuck[1000:1100, 1] = stuck[1000, 1]
+    assert waveforms._held_phase(stuck, 74.0)[:2] == (1, 1000)
 
 
 def test_a_coarse_phase(ipm):

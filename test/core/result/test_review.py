@@ -100,6 +100,17 @@ def test_the_flux_of_a_current_beside_a_hole_is_no_magnet(monkeypatch):
     assert "magnet_negative" not in [said.code for said in result.report.warnings]
 
 
+@pytest.mark.accuracy
+def test_a_shift_in_time_that_the_fit_refutes_is_not_told(plain, monkeypatch):
+    """The rough model of the checks takes saturation for one; three of 100 good drives were told to shift stamps."""
+    shift = Message("time_shift", delay=18, late=2e-3, unexplained=0.1, unexplained_corrected=0.07)
+    monkeypatch.setattr(Prescan, "findings", lambda *_: (shift,))
+    late = replace(plain.part(0, len(plain) - 12), u_abc=plain.u_abc[12:])
+    for samples, settings, kept in ((plain, FULL, False), (late, FULL, True), (plain, JOINT, True)):
+        codes = [said.code for said in identify([samples], settings).report.warnings]
+        assert ("time_shift" in codes) == kept
+
+
 def test_wrong_signs_and_orders_are_refused(good):
     swapped = replace(good, i_abc=good.i_abc[:, [0, 2, 1]])
     for said, samples in (

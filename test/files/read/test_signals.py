@@ -210,4 +210,4 @@ def test_paths_that_are_none(text):
 def test_whatever_is_marked_as_a_guess_is_told(line, setting):
     text = VALID + line + "\n"
     found = parse_signals(text, "f").guessed
-    assert found == ({setting: text.count("\n")} if setting else {})
+    assert found == ({setting: [text.count("\n")]} if setting else {})

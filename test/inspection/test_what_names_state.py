@@ -1,0 +1,134 @@
+"""Units, commanded or measured, temperatures: what names say, drafts take, and what they leave open is marked."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from column_files import columns, write_csv
+
+from drive_id.core import frames
+from drive_id.core.fit_settings import FitSettings
+from drive_id.files.messages.signals_file import parse_signals
+from drive_id.files.read.several import read_recording
+from drive_id.fitting.fit import fit
+from drive_id.inspection.inspect import check
+
+
+@pytest.fixture(scope="module")
+def samples(simulation):
+    made = simulation.samples
+    return replace(made.part(0, 12_000), truth=None, stamp=made.stamp[:12_000] - made.stamp[0])
+
+
+def drafted(samples, tmp_path, **changed):
+    """Return what the draft of a CSV file with these columns, besides the usual ones or in place of them, reads."""
+    table = columns(samples, **changed)
+    path = write_csv(tmp_path / "log.csv", table)
+    draft = check(path).draft
+    recording = read_recording(path, parse_signals(draft.text, "the draft"))
+    return recording.samples, draft, recording.warnings
+
+
+def phases(samples, name, suffix, factor=1.0):
+    """Return three columns with the phases of currents or voltages under another name, and remove the usual ones."""
+    x = samples.i_abc if name == "i" else samples.u_abc
+    new = {f"{name}{phase}{suffix}": factor * x[:, k] for k, phase in enumerate("abc")}
+    return dict.fromkeys((f"{name}{phase}" for phase in "abc"), None) | new
+
+
+def test_a_unit_with_a_number_is_a_factor(samples, tmp_path):
+    changed = phases(samples, "i", " [0.1A]", 10.0) | phases(samples, "u", " [0,01 V]", 100.0)
+    found, draft, _ = drafted(samples, tmp_path, **changed)
+    assert np.abs(found.i_abc - samples.i_abc[: len(found)]).max() < 1e-3
+    assert np.abs(found.u_abc - samples.u_abc[: len(found)]).max() < 1e-3
+    assert "EDIT" not in draft.text
+
+
+def test_currents_in_percent_are_a_guess(samples, tmp_path):
+    _, draft, warnings = drafted(samples, tmp_path, **phases(samples, "i", " [%]", 100 / 300))
+    assert "EDIT: A per %, the unit that their names state" in draft.text
+    assert "guessed_setting" in [message.code for message in warnings]
+
+
+@pytest.mark.parametrize(("commanded", "measured"), [("_cmd", "_meas"), ("_ref", "_act"), ("_soll", "_ist")])
+def test_commanded_voltages_are_taken_whatever_their_place(commanded, measured, samples, tmp_path):
+    both = phases(samples, "u", measured, 1.02) | phases(samples, "u", commanded)
+    found, draft, _ = drafted(samples, tmp_path, **both)
+    assert np.abs(found.u_abc - samples.u_abc[: len(found)]).max() < 1e-3
+    assert any(f"ua{measured}" in sentence and "named for voltages" in sentence for sentence in draft.unsure)
+
+
+def test_filtered_currents_and_estimated_angles_are_not_taken(samples, tmp_path):
+    later = phases(samples, "i", "_filt", 0.98) | {
+        f"i{phase}": x for phase, x in zip("abc", samples.i_abc.T, strict=True)
+    }
+    table = {"theta_est": np.mod(samples.angle + 0.01, 2 * np.pi)} | later
+    _, draft, _ = drafted(samples, tmp_path, **table)
+    assert "fields: [ia, ib, ic]" in draft.text
+    assert "theta_est" not in draft.text
+
+
+@pytest.mark.parametrize("unit", ["", " [K]", " [degC]"])
+def test_a_temperature_is_neither_link_nor_speed_but_a_temperature(unit, samples, tmp_path):
+    """100 degrees: 5 times the speed in rpm with 20 pole pairs, and as steady as a DC link."""
+    rng, kelvin = np.random.default_rng(1), 273.15 * ("K" in unit)
+    temperature = 100.0 + kelvin + 0.05 * rng.standard_normal(len(samples))
+    found, draft, _ = drafted(samples, tmp_path, omega=None, **{f"T_winding{unit}": temperature})
+    assert found.winding_temperature == pytest.approx(temperature[: len(found)] - kelvin, abs=0.01)
+    assert "dc_link" not in draft.text
+    assert "\n  speed: " not in draft.text
+
+
+def test_a_second_drive_in_the_table_is_told(samples, tmp_path):
+    second = {f"M2_i{phase}": x for phase, x in zip("abc", np.roll(samples.i_abc, 500, axis=0).T, strict=True)}
+    _, draft, _ = drafted(samples, tmp_path, **second)
+    assert any("M2_ia, M2_ib, M2_ic are named for currents, too" in sentence for sentence in draft.unsure)
+
+
+@pytest.mark.parametrize(
+    ("name", "unit", "shaft", "marked"),
+    [
+        ("speed_rps", "rev/s", True, False), ("n [rpm]", "rpm", True, False), ("omega_m", "rad/s", True, True),
+        ("omega", "rad/s", False, True), ("vel_estimate", "rad/s", False, True), ("erpm", "rpm", False, False),
+        ("w_el [rad/s]", "rad/s", False, False), ("speed", "rpm", True, True),
+    ],
+)  # fmt: skip
+def test_the_unit_of_a_slow_speed_is_marked_unless_it_is_stated(name, unit, shaft, marked, tmp_path):
+    """The fluxes follow it, and each fit says so as long as it is a guess. Voltages are setpoints, as of ODrive."""
+    t = 0.01 * np.arange(400)
+    i = np.repeat(np.array([[0.0, 5], [-5, 5], [-5, 10], [0, 10], [-10, 3], [3, 3], [-3, -6], [2, 8]]), 50, axis=0)
+    table = {"t": t, "Id_measured": i[:, 0], "Iq_measured": i[:, 1], "Vd_setpoint": i[:, 0], "Vq_setpoint": 9 + i[:, 1]}
+    path = write_csv(tmp_path / "slow.csv", table | {name: 100.0 + 0.01 * np.sin(t)})
+    draft = check(path).draft
+    assert draft.static
+    line = next(line for line in draft.text.splitlines() if "speed_unit" in line)
+    assert f"speed_unit: {unit}" in line
+    assert ("EDIT" in line) == marked
+    assert ("\n  mechanical: true" in draft.text) == shaft
+    assert "[Vd_setpoint, Vq_setpoint]" in draft.text
+
+
+def test_every_line_of_a_guess_is_named(samples, tmp_path):
+    i, u = (frames.space_vector(x) for x in (samples.i_abc, samples.u_abc))
+    none = dict.fromkeys((f"{name}{phase}" for name in "iu" for phase in "abc"), None)
+    vectors = {"i_alpha": i.real, "i_beta": i.imag, "u_alpha": u.real, "u_beta": u.imag}
+    _, draft, warnings = drafted(samples, tmp_path, **none, **vectors)
+    marked = [n for n, line in enumerate(draft.text.splitlines(), 1) if re.match(r"\s*scale: 1\s+# EDIT", line)]
+    assert len(marked) == 2
+    assert any(f"scale: 1 in lines {marked[0]}, {marked[1]} of" in warning for warning in warnings)
+
+
+def test_an_impossible_flux_and_other_pole_pairs_are_told(simulation):
+    """The speed in another unit scales the flux, and fits as well; pole pairs scale the torque."""
+    settings = FitSettings(method="joint", pole_pairs=7)
+    sound = fit([simulation.samples], settings=settings)
+    assert "large_flux" not in [message.code for message in sound.warnings]
+    thousandfold = replace(simulation.samples, u_abc=1e3 * simulation.samples.u_abc, truth=None)
+    told = {message.code: message for message in fit([thousandfold], settings=settings).warnings}
+    assert told["large_flux"].values["flux"] == pytest.approx(1e3 * np.abs(sound.drive.flux_map.psi).max(), rel=0.3)
+    recorded = replace(simulation.samples, truth=simulation.truth)
+    told = {message.code: message for message in fit([recorded], settings=settings).warnings}
+    assert told["other_pole_pairs"].values == {"given": 7, "recorded": 4}

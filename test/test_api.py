@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from drive_bags import TRAJECTORY
 
@@ -133,6 +134,12 @@ def test_settings_signals_and_stored_settings_are_used(bag, tmp_path):
         ([], {}, "No bag is given"),
         (3, {}, "drive_id.fit cannot read recordings from a int: give paths or Samples."),
         ([None], {}, "neither all paths nor all Samples"),
+        (
+            pd.DataFrame({"a": [1.0]}),
+            {},
+            "drive_id.fit cannot read recordings from a DataFrame: give paths or Samples.",
+        ),
+        ("none", {"signals": {"currents": {}}}, "signals is a dict: give the path of a signals file"),
         ("none.info", {}, "none.info cannot be read"),
         ("none", {"signals": "none.yaml"}, "none.yaml"),
         ("none", {"workers": 0}, "The number of workers is 0: give 1 or more."),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from functools import partial
@@ -21,7 +21,7 @@ from drive_id.core.result.identify import identify
 from drive_id.core.signals.pieces import common_truth
 from drive_id.core.steady.operating_data import OperatingData
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.files.messages.signals_file import SignalMap, read_signals
+from drive_id.files.messages.signals_file import SignalMap, signals_of
 from drive_id.files.read.reader import guesses
 from drive_id.files.read.several import digests_of
 from drive_id.files.results.folder import check_output, check_recordings, is_result
@@ -109,7 +109,7 @@ def fit(
     >>> psi_d, psi_q = result.flux_map.psi_dq(-100.0, 150.0)  # doctest: +SKIP
     """
     paths, samples = _divided(recordings)
-    signal_map = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
+    signal_map = signals_of(signals)
     target = None if output is None else Path(output)
     chosen = _chosen(settings, samples, method=method, i_max=i_max, machine=machine, serial=serial)
     if samples:
@@ -128,12 +128,11 @@ def _divided(recordings: object) -> tuple[list[Path], list[Samples | OperatingDa
     """Return the paths and the samples among what a user passes; all are of one kind."""
     if isinstance(recordings, (str, os.PathLike, Samples, OperatingData)):
         recordings = [recordings]
-    try:
-        given = list(recordings)  # type: ignore[call-overload]  # whatever a user passes
-    except TypeError as error:
+    if not isinstance(recordings, Iterable) or isinstance(recordings, Mapping) or hasattr(recordings, "columns"):
         raise ConfigurationError(
             f"drive_id.fit cannot read recordings from a {type(recordings).__name__}: give paths or Samples."
-        ) from error
+        )
+    given = list(recordings)
     samples = [entry for entry in given if isinstance(entry, (Samples, OperatingData))]
     paths = [Path(entry) for entry in given if isinstance(entry, (str, os.PathLike))]
     if len(samples) + len(paths) < len(given) or (samples and paths):

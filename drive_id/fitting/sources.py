@@ -27,7 +27,7 @@ from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.errors import ConfigurationError, DriveIdError, InformationError, NotABagError
 from drive_id.files.inputs.remote import fetched, shown, url_of
 from drive_id.files.logs.log_kind import log_kind
-from drive_id.files.messages.signals_file import SignalMap, read_signals
+from drive_id.files.messages.signals_file import SignalMap, signals_of
 from drive_id.files.read.column_stream import largest_reference
 from drive_id.files.read.extraction import SignalStream
 from drive_id.files.read.reader import find_topics
@@ -118,7 +118,7 @@ def read_bag(
         When a bag cannot be read, or its signals cannot be joined.
     """
     paths = [Path(bag)] if isinstance(bag, (str, os.PathLike)) else [Path(entry) for entry in bag]
-    signal_map = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
+    signal_map = signals_of(signals)
     recording = read_recording(paths, signal_map, namespace=namespace)
     for text in recording.warnings:
         warnings.warn(text, stacklevel=2)

@@ -28,7 +28,7 @@ from drive_id.errors import (
 from drive_id.files.logs.log_kind import log_kind
 from drive_id.files.messages.message_reader import STAMP_LIMIT
 from drive_id.files.messages.messages import BLOCK_FIELDS
-from drive_id.files.messages.signals_file import SignalMap, parse_signals, read_signals
+from drive_id.files.messages.signals_file import SignalMap, parse_signals, signals_of
 from drive_id.files.read.extraction import DividedError, UnusualError
 from drive_id.files.read.operating_log import read_operating_log
 from drive_id.files.read.reader import find_topics
@@ -132,8 +132,10 @@ def check(
     DriveIdError
         When it cannot be read.
     """
+    if not isinstance(log, (str, os.PathLike)):
+        raise ConfigurationError(f"drive_id.check cannot read a {type(log).__name__}: give the path of a log.")
     path = Path(log)
-    signals = read_signals(Path(signals)) if isinstance(signals, (str, os.PathLike)) else signals
+    signals = signals_of(signals)
     tell("Reading", 0.0)
     contents = read_contents(path, signals)
     findings: list[Message] = []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import re
 from collections.abc import Sequence
 from dataclasses import fields
@@ -51,6 +52,18 @@ _NESTED: dict[type, tuple[str, ...]] = {
     ScalarSource: (),
 }
 """Fields of a section that may name a signal of their own."""
+
+
+def signals_of(given: str | os.PathLike[str] | SignalMap | None) -> SignalMap | None:
+    """Return the signals that a user passes, the path of a signals file or what was read from one; None for none.
+
+    Raises ConfigurationError for anything else, and where the file is wrong.
+    """
+    if given is None or isinstance(given, SignalMap):
+        return given
+    if isinstance(given, (str, os.PathLike)):
+        return read_signals(Path(given))
+    raise ConfigurationError(f"signals is a {type(given).__name__}: give the path of a signals file.")
 
 
 def read_signals(path: Path) -> SignalMap:

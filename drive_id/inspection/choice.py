@@ -50,6 +50,8 @@ _MOST_THERE = 0.8
 """Least share of rows with a value for which missing values of a column are interpolated."""
 _LINES = np.exp(-1j * np.pi / 6) / np.sqrt(3)
 """Space vector of the phases by that of voltages between them."""
+_LONG = {"value", "values"}
+"""Columns of a table in long format: the value, beside a time and the name of its signal."""
 _ODOMETERS = {
     "tachometer", "odometer", "hours", "charge", "charged", "used", "consumed", "energy", "distance", "trip", "soc",
     "ah", "wh", "battery", "level",
@@ -91,6 +93,11 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     blank = f" ({said})" if (said := blank_columns(contents)) else ""
     kinds = (("three balanced currents or voltages", groups), ("a rotor angle", angles))
     missing = [what for what, found in kinds if not found]
+    if missing and any(name.lower().strip("_") in _LONG for table in tables for name in table.columns):
+        raise ConfigurationError(
+            f"{contents.path} seems to hold one value of one signal in each row: pivot it, so that each signal has a "
+            "column."
+        )
     if missing == ["a rotor angle"] and (why := _no_angle(tables)):
         raise ConfigurationError(f"{contents.path}: {why}")
     if missing:

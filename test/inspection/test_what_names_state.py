@@ -82,6 +82,15 @@ def test_a_temperature_is_neither_link_nor_speed_but_a_temperature(unit, samples
     assert "\n  speed: " not in draft.text
 
 
+def test_a_table_in_long_format_is_to_be_pivoted(samples, tmp_path):
+    table = columns(samples)
+    time, signals = table.pop("time_s"), np.arange(len(table))
+    values = np.column_stack(list(table.values()))
+    long = {"time": np.repeat(time, len(table)), "signal": np.tile(signals, len(time)), "value": values.ravel()}
+    found = check(write_csv(tmp_path / "log.csv", long)).findings
+    assert any("pivot it" in finding for finding in found if finding.code == "no_draft")
+
+
 def test_a_second_drive_in_the_table_is_told(samples, tmp_path):
     second = {f"M2_i{phase}": x for phase, x in zip("abc", np.roll(samples.i_abc, 500, axis=0).T, strict=True)}
     _, draft, _ = drafted(samples, tmp_path, **second)

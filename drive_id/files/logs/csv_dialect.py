@@ -70,7 +70,8 @@ def csv_dialect(path: Path) -> CsvDialect:
             "signs as well: write decimal points, or separate columns by semicolons."
         )
     raise MessageTypeError(
-        f"{path} is not a table of numbers below a line with the names of its columns: add such a line."
+        f"{path} is not a table of numbers below a line with the names of its columns: add such a line, and give each "
+        "signal a column of its own."
     )
 
 

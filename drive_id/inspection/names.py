@@ -105,7 +105,8 @@ def is_derived(name: str) -> bool:
 def is_temperature(name: str, given: str = "") -> bool:
     """Tell whether a name, or the unit that the log gives, says that what it holds is a temperature."""
     unit = _stated(name, given)[2]
-    return bool(words(name) & _TEMPERATURE) or unit in ("C", "°C", "K") or name.startswith(("T_", "t_"))
+    degrees = unit in ("°C", "K") or (unit == "C" and not name.endswith("_C"))  # which may be a phase
+    return bool(words(name) & _TEMPERATURE) or degrees or name.startswith("T_")
 
 
 def stated_unit(name: str, given: str = "") -> tuple[str, str]:

@@ -145,9 +145,9 @@ class _DraftText:
     def _tell_rivals(self) -> None:
         """Say which further columns are named for currents or voltages, as of another drive, or measured ones."""
         choice = self._choice
-        kinds = (("currents", "current", choice.currents), ("voltages, of which the commanded are needed", "voltage",
-                 choice.voltages))  # fmt: skip
-        for what, meaning, found in kinds:
+        for meaning, found, needed in (
+            ("current", choice.currents, ""), ("voltage", choice.voltages, ": a fit needs the commanded ones")
+        ):  # fmt: skip
             others = [
                 ", ".join(group.names)
                 for table in self._tables
@@ -158,7 +158,7 @@ class _DraftText:
             ]  # fmt: skip
             if others:
                 self._unsure.append(
-                    f"{others[0]} are named for {what}, too; {', '.join(found.group.names)} were taken."
+                    f"{others[0]} are named for {meaning}s, too; {', '.join(found.group.names)} were taken{needed}."
                 )
 
     def _source(self, table: Table) -> list[str]:

@@ -208,7 +208,9 @@ def present_files(path: Path) -> tuple[Path, ...]:
     if not files:
         if (path / "identification.json").exists():
             raise NotABagError(f"{path} is a result folder, not a recording: see it by drive-id info or report.")
-        raise NotABagError(f"{path} is a folder without an .mcap or .db3 file: give a rosbag2 folder.")
+        raise NotABagError(
+            f"{path} is a folder without an .mcap or .db3 file: give a rosbag2 folder, or the files of other logs."
+        )
     return tuple(files)
 
 

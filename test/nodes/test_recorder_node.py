@@ -413,20 +413,25 @@ def test_pause_resume_and_split(ros):
 def test_a_full_disk(ros):
     recorder, bench = Recorder(ros, process=True, chunk_size=8192, flush_period=0.1), Bench(ros)
     bench.wait_for_listeners()
-    assert recorder.start("bag").success
-    resource.prlimit(recorder.node.popen.pid, resource.RLIMIT_FSIZE, (155_000, 10**9))
-    bench.publish(300)
     no_disk = os.strerror(errno.EFBIG)
-    recorder.wait_for_status(no_disk, 2)
-    resource.prlimit(recorder.node.popen.pid, resource.RLIMIT_FSIZE, (10**9, 10**9))
-    reply = recorder.stop()
-    assert not reply.success
-    assert f"cannot be written ({no_disk})" in reply.message
+    for limit in (155_000, 158_000, 161_000):
+        name = f"bag_{limit}"
+        assert recorder.start(name).success
+        resource.prlimit(recorder.node.popen.pid, resource.RLIMIT_FSIZE, (limit, 10**9))
+        recorder.status = None
+        bench.publish(300)
+        recorder.wait_for_status(no_disk, 2)
+        resource.prlimit(recorder.node.popen.pid, resource.RLIMIT_FSIZE, (10**9, 10**9))
+        reply = recorder.stop()
+        assert not reply.success
+        assert f"cannot be written ({no_disk})" in reply.message
+        if "complete it with 'drive-id recover'" not in reply.message:
+            break  # else the last record happened to end so near the limit that the end mark had no room: one in 200
     assert "complete and readable" in reply.message
     assert 0 < reply.samples < 30000
-    messages = stock_messages(recorder.data / "bag")
+    messages = stock_messages(recorder.data / name)
     assert len([topic for topic, _ in messages if topic == "/phase_currents"]) * 100 == reply.samples
-    assert len(read_recording(recorder.data / "bag").samples) > 0
+    assert len(read_recording(recorder.data / name).samples) > 0
     assert recorder.stop().message.startswith("Nothing is being recorded")
     assert recorder.start("next").success
     bench.publish(2)

@@ -87,11 +87,6 @@ def suggests(name: str, meaning: str) -> bool:
     return unit or long or bool(own & set(_WORDS[meaning]))
 
 
-def is_commanded(name: str) -> bool:
-    """Tell whether a name says that what it holds was commanded."""
-    return suggests(name, "reference")
-
-
 def is_measured(name: str) -> bool:
     """Tell whether a name says that what it holds was measured."""
     return bool(words(name) & _MEASURED)

@@ -16,7 +16,6 @@ from drive_id.core.checks.recognition import AngleLike
 from drive_id.inspection.contents import Table
 from drive_id.inspection.names import (
     NameGroup,
-    is_commanded,
     is_derived,
     is_measured,
     is_temperature,
@@ -96,7 +95,7 @@ def voltage_points(found: PhaseGroup) -> float:
     hints = partial(_hints, found.group.stem, found.table.name)
     points = hints("voltage") - hints("current")
     stem = found.group.stem
-    points += _PREFERRED * (is_commanded(stem) - is_measured(stem) - is_derived(stem))
+    points += _PREFERRED * (suggests(stem, "reference") - is_measured(stem) - is_derived(stem))
     points += 0.5 * (found.group.frame == "abc")  # among equals: needs no angle
     return points + 0.1 * len(found.values.T)  # among equals: three rather than two of them
 

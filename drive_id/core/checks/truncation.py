@@ -34,10 +34,11 @@ def truncation_findings(runs: Sequence[Samples]) -> Iterator[Message]:
     for name, unit in (("current", "A"), ("voltage", "V")):
         x_abc = np.concatenate([run.i_abc if name == "current" else run.u_abc for run in runs])
         x_dq = frames.to_dq(x_abc, angle)
-        amplitude = float(np.quantile(np.hypot(*x_dq.T), USUAL_QUANTILE))
-        moving = x_dq[np.hypot(*x_dq.T) > _ZERO * amplitude]
-        for x, bias in ((x_abc[(np.abs(x_abc) > _ZERO * amplitude).any(axis=1)], 4 / np.pi), (moving, 1.0)):
-            if step := _step(x.ravel(), _LEAST_SHIFT * amplitude / bias):
+        size = np.hypot(*x_dq.T)
+        amplitude = float(np.quantile(size, USUAL_QUANTILE))
+        moving = size > _ZERO * amplitude
+        for x, bias in ((x_abc, 4 / np.pi), (x_dq, 1.0)):
+            if step := _step(x[moving].ravel(), _LEAST_SHIFT * amplitude / bias):
                 yield Message("truncated", signal=name, step=step, unit=unit, share=0.5 * step * bias / amplitude)
                 break
 
@@ -47,8 +48,11 @@ def _step(x: FloatArray, least: float) -> float:
     size = np.abs(x)
     beside = size[size > _ZERO * float(size.max(initial=0.0))]
     step = float(beside.min(initial=np.inf))
-    if not 2 * least < step < np.inf or np.abs(size / step - np.rint(size / step)).max() > _APART:
+    if not 2 * least < step < np.inf:
         return 0.0
-    zero, first, second = (np.count_nonzero(np.rint(size / step) == level) for level in range(3))
+    levels = np.rint(size / step)
+    if np.abs(size / step - levels).max() > _APART:
+        return 0.0
+    zero, first, second = (np.count_nonzero(levels == level) for level in range(3))
     even = max(zero, first, second) < _EVEN * min(zero, first, second)
     return step if even and first > _FEWEST else 0.0

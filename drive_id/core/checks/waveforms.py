@@ -33,9 +33,8 @@ _SINGLE = 0.98  # share of samples there: of a modulated voltage, a few percent 
 _LIKE_VECTORS = 0.5  # range of their lengths by the longest: a link that varies by more feeds no drive
 _STUCK = 50  # equal samples in a row, more than a coarse converter repeats while the others move
 _MOVED = 0.3  # range of the other phases meanwhile, by the largest value
-_UNBALANCED = (
-    0.1  # range of the sum of all phases meanwhile, likewise: at the crest of a slow wave in coarse steps, it stays
-)
+_UNBALANCED = 0.1
+"""Range of the sum of all phases meanwhile, likewise: at the crest of a slow wave in coarse steps, it stays."""
 _NEAR_LIMIT = 0.999  # of the largest value, where a phase that stands still is clipped
 _FEW_LEVELS = 100  # values of a phase: 7 bits, whose steps exceed the noise of any drive
 _CURRENT_OFFSET = 0.03  # by i_max: method full corrects smaller ones

@@ -23,6 +23,7 @@ from drive_id.fitting.fit import accumulate_bags, fit, fit_bags
 from drive_id.fitting.simulated import load_machine, run_experiment, simulate, simulate_bag
 from drive_id.fitting.sources import Sources
 from drive_id.reporting.tables import fit_table
+from drive_id.types import Samples
 
 SHORT = SimulationSettings()
 
@@ -147,14 +148,8 @@ def test_progress_is_told_in_order(bag, tmp_path):
 
 
 def test_warnings_of_reading_stand_before_those_of_the_fit(simulation, tmp_path):
-    keep = np.r_[0:8000, 8500:20000]
-    names = ("stamp", "i_abc", "u_abc", "angle", "speed", "i_dq_reference")
-    cut = replace(
-        simulation.samples,
-        **{name: getattr(simulation.samples, name)[keep] for name in names},
-        run_starts=np.array([0, 8000]),
-    )
-    write_recording(tmp_path / "bag", cut)
+    cut = [simulation.samples.part(*ends) for ends in ((0, 8000), (8500, 20_000))]
+    write_recording(tmp_path / "bag", Samples.joined(cut))
     fit = fit_bags(Sources([tmp_path / "bag"]), tmp_path / "out", FitSettings(method="joint"))
     assert fit.drive.report.gaps == 1
     assert fit.warnings == (*fit.provenance.warnings, *fit.drive.report.warnings)

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from drive_id.core import frames
-from drive_id.types import FloatArray, Samples
+from drive_id.types import BoolArray, FloatArray, Samples
 
 Flux = Callable[[FloatArray], FloatArray]
 
@@ -107,15 +107,16 @@ def warmed(samples: Samples, rises: dict[float, float]) -> Samples:
 
 def cut(samples, start, stop):
     """Return a part as the join hands it on: with the last sample of the part before."""
-    begin = max(start - 1, 0)
-    starts = samples.run_starts - begin
     goes_on = start > 0 and start not in samples.run_starts
-    begin += start > 0 and not goes_on
-    starts = samples.run_starts - begin
-    starts = np.union1d([0], starts[(starts > 0) & (starts < stop - begin)])
-    names = ("stamp", "i_abc", "u_abc", "angle", "speed")
-    arrays = {name: getattr(samples, name)[begin:stop] for name in names}
-    reference = None if samples.i_dq_reference is None else samples.i_dq_reference[begin:stop]
-    return Samples(
-        **arrays, sample_period=samples.sample_period, run_starts=starts, i_dq_reference=reference
-    ), goes_on  # fmt: skip
+    return samples.part(start - goes_on, stop), goes_on
+
+
+def only(samples: Samples, kept: BoolArray) -> Samples:
+    """Return the samples that a mask (N,) keeps; behind each gap, a run begins."""
+    return samples.chosen(kept, np.append(True, ~kept[:-1]))
+
+
+def every(samples: Samples, n: int) -> Samples:
+    """Return what a log of every n-th sample holds."""
+    first = np.arange(len(samples)) == 0
+    return replace(samples.chosen(np.arange(len(samples)) % n == 0, first), sample_period=n * samples.sample_period)

@@ -68,11 +68,7 @@ def test_a_restored_state_goes_on_as_if_nothing_had_been(recordings):
     """In the middle of a block of time, and of a rest."""
     whole = recordings[0]
     cut = 4321
-    names = ("stamp", "i_abc", "u_abc", "angle", "speed")
-    first, second = (
-        replace(whole, **{name: getattr(whole, name)[part] for name in names})
-        for part in (slice(0, cut), slice(cut - 1, None))
-    )
+    first, second = whole.part(0, cut), whole.part(cut - 1, len(whole))
     straight, restored = evidence(first), evidence()
     restored.restore(straight.state())
     assert_alike(restored, straight)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from synthetic import record
+from synthetic import only, record
 
 from drive_id.bench.drive import simulate
 from drive_id.bench.machines import machine_map
@@ -59,10 +57,8 @@ def test_a_disc_that_is_not_filled_is_no_wrong_i_max():
 @pytest.mark.parametrize(("axis", "sign", "name"), [(0, 1, "i_d < 0"), (0, -1, "i_d > 0"), (1, 1, "i_q < 0")])
 def test_the_empty_half_of_the_disc_is_named(samples, axis, sign, name):
     i_dq = frames.to_dq(samples.i_abc, samples.angle)
-    kept = np.flatnonzero((sign * i_dq[:, axis] > 20) & (np.abs(i_dq[:, 1 - axis]) < 250))
-    arrays = {key: getattr(samples, key)[kept] for key in ("stamp", "i_abc", "u_abc", "angle", "speed")}
-    starts = np.flatnonzero(np.diff(kept, prepend=-2) > 1)
-    said = identify([replace(samples, **arrays, run_starts=starts)], FitSettings("joint", i_max=300.0)).report.warnings
+    half = only(samples, (sign * i_dq[:, axis] > 20) & (np.abs(i_dq[:, 1 - axis]) < 250))
+    said = identify([half], FitSettings("joint", i_max=300.0)).report.warnings
     assert f" % of its half with {name}. Elsewhere, use the map" in " ".join(said)
 
 

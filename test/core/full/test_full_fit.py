@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from synthetic import reciprocal_flux, saturating_flux
+from synthetic import every, reciprocal_flux, saturating_flux
 from synthetic import record as record_of
 
 from drive_id.common.messages import Message
@@ -28,7 +28,6 @@ from drive_id.core.full.windows import SHIFTS, Windows, kept_of
 from drive_id.core.maps.flux_models import jacobian, positive_definite
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, DataError
-from drive_id.types import Samples
 
 FULL = FitSettings("full", i_max=300.0, harmonic_orders=())
 """Without candidates of harmonics, which the recordings do not have."""
@@ -230,9 +229,7 @@ def test_a_winding_that_cools_by_a_hundred_kelvin_is_doubted():
 def test_a_decimated_log_is_told_where_the_controller_answers_at_once():
     """Its answer predicts the noise, which hid the delay (0.00 +- 0.09 samples): nothing was told."""
     quick = answering(record(bent_flux, duration=6.0, speed=500.0), gain=0.3, noise=0.3)
-    names = ("stamp", "i_abc", "u_abc", "angle", "speed")
-    halved = {name: getattr(quick, name)[::2] for name in names}
-    found = identify([Samples(**halved, sample_period=2e-4)], replace(FULL, maps="reciprocal"))
+    found = identify([every(quick, 2)], replace(FULL, maps="reciprocal"))
     assert abs(found.resistance - 0.02) < 2 * found.sigma_resistance
     assert {warning.code for warning in found.report.warnings} & {"decimated", "voltage_delay", "current_latency"}
 

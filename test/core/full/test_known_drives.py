@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import reciprocal_flux, record
+from synthetic import every, reciprocal_flux, record
 
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import identify
-from drive_id.types import Samples
 
 FULL = FitSettings(method="full", harmonic_orders=())
 """Without candidates of harmonics, which the recordings do not have; those of the residuals are looked for."""
@@ -115,9 +114,7 @@ def test_a_late_compensation_along_a_wide_ramp_leaves_the_flux_open():
 @pytest.mark.accuracy
 def test_the_errors_hold_what_the_delay_of_a_decimated_log_leaves_open():
     """Its delay was searched anew after the fit, and then taken for another one: the errors lacked it (2.4 of them)."""
-    plain = drive()
-    arrays = {name: getattr(plain, name)[::3] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")}
-    result = fitted(Samples(**arrays, sample_period=3e-4))
+    result = fitted(every(drive(), 3))
     assert found(result, "voltage_delay").value == pytest.approx(-1 / 3, abs=0.05)
     assert most_of_sigma(result) < 2
 

@@ -18,7 +18,6 @@ from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import WindowCutter, Windows, kept_of
 from drive_id.core.numerics.normal_equations import triangle_of
 from drive_id.core.numerics.threads import interruptible
-from drive_id.types import Samples
 
 LOW, HIGH = np.array([-310.0, -310.0]), np.array([310.0, 310.0])
 
@@ -44,11 +43,6 @@ def gathered(model, *recordings):
         information.next_recording()
         information.add(samples)
     return information.finished()
-
-
-def between(samples, start, end):
-    arrays = {name: getattr(samples, name)[start:end] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")}
-    return Samples(**arrays, sample_period=samples.sample_period)
 
 
 def flux_by_scipy(space, gamma, i_dq):
@@ -249,7 +243,7 @@ def test_pieces_make_no_difference(model, samples):
     """Prompt products leave nothing to a snapshot."""
     whole, later, prompt = gathered(model, samples), WindowSums(model), WindowSums(model)
     for start in range(0, len(samples) - 1, 3001):
-        piece = between(samples, max(start - 1, 0), start + 3001)
+        piece = samples.part(max(start - 1, 0), min(start + 3001, len(samples)))
         later.add(piece, continues=start > 0)
         prompt.add(piece, continues=start > 0, prompt=True)
     assert later._due
@@ -260,10 +254,10 @@ def test_pieces_make_no_difference(model, samples):
 
 def test_a_snapshot_leaves_the_stream_alone(model, samples):
     information = WindowSums(model)
-    information.add(between(samples, 0, 8000))
+    information.add(samples.part(0, 8000))
     before = information.finished()
     folds = before.folds
-    information.add(between(samples, 7999, 15000), continues=True)
+    information.add(samples.part(7999, 15000), continues=True)
     np.testing.assert_array_equal(before.folds, folds)
     np.testing.assert_allclose(information.finished().folds, gathered(model, samples).folds, rtol=1e-9, atol=1e-9)
 

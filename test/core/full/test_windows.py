@@ -38,11 +38,6 @@ def cut(*pieces, continues=()):
     return Windows.joined(parts + list(cutter.finish()))
 
 
-def between(samples, start, end):
-    arrays = {name: getattr(samples, name)[start:end] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")}
-    return Samples(**arrays, sample_period=samples.sample_period)
-
-
 @pytest.fixture(scope="module")
 def samples():
     return record(duration=2.0, noise=0.5)
@@ -141,7 +136,7 @@ def test_integrals_of_the_shapes_are_those_of_linear_currents(noise):
 @pytest.mark.parametrize("size", [37, 700, 9000])
 def test_pieces_make_no_difference(samples, size):
     starts = range(0, len(samples) - 1, size)
-    pieces = [between(samples, max(start - 1, 0) if start else 0, start + size) for start in starts]
+    pieces = [samples.part(max(start - 1, 0), min(start + size, len(samples))) for start in starts]
     whole, parts = cut(samples), cut(*pieces, continues=set(range(1, len(pieces))))
     for name in NAMES:
         np.testing.assert_allclose(getattr(parts, name), getattr(whole, name), rtol=1e-9, atol=1e-12)
@@ -232,7 +227,7 @@ def test_fine_sampling_costs_no_more_windows():
 @pytest.mark.parametrize("count", [1, 2, 5, 60])
 def test_too_few_samples_give_no_window_or_few(samples, count):
     cutter = WindowCutter(SHAPES)
-    parts = list(cutter.cut(between(samples, 0, count))) + list(cutter.finish())
+    parts = list(cutter.cut(samples.part(0, count))) + list(cutter.finish())
     assert sum(len(part) for part in parts) <= count / 8
 
 
@@ -249,8 +244,8 @@ def test_windows_at_rest_are_left_out_whatever_the_pieces(samples):
     for name in NAMES:
         np.testing.assert_allclose(getattr(moving, name), getattr(every, name)[used], rtol=1e-9, atol=1e-12)
     cutter = WindowCutter(SHAPES)
-    pieces = [*cutter.cut(between(samples, 0, 5001), idle[:5001])]
-    pieces += [*cutter.cut(between(samples, 5000, len(samples)), idle[5000:], continues=True), *cutter.finish()]
+    pieces = [*cutter.cut(samples.part(0, 5001), idle[:5001])]
+    pieces += [*cutter.cut(samples.part(5000, len(samples)), idle[5000:], continues=True), *cutter.finish()]
     np.testing.assert_allclose(Windows.joined(pieces).time, moving.time)
 
 

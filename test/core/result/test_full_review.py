@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from machine_kinds import mean_flux
+from synthetic import every, only
 
 from drive_id.bench.machines import MACHINES, machine_map
 from drive_id.bench.settings import SimulationSettings
@@ -103,10 +104,8 @@ def test_delays_of_several_samples_are_taken_out():
 @pytest.mark.accuracy
 def test_a_decimated_log_is_recognized_by_its_delay():
     """Where the checks before the fit cannot tell: at 2.5 kHz, 5 degrees per sample."""
-    samples = simulate(speeds=(520.0,)).samples
-    names = ("stamp", "i_abc", "u_abc", "angle", "speed")
-    every = replace(samples, **{n: getattr(samples, n)[::4] for n in names}, sample_period=4e-4, i_dq_reference=None)
-    assert "the log may hold every n-th sample only" in told(every)
+    samples = replace(simulate(speeds=(520.0,)).samples, i_dq_reference=None)
+    assert "the log may hold every n-th sample only" in told(every(samples, 4))
 
 
 @pytest.mark.accuracy
@@ -124,13 +123,8 @@ def test_a_slow_rotor_is_told():
 
 @pytest.mark.accuracy
 def test_without_generating_currents_there_is_no_mirror(good):
-    i_dq = frames.to_dq(good.samples.i_abc, good.samples.angle)
-    motoring = good.samples
-    runs = np.flatnonzero(np.diff(np.concatenate([[False], i_dq[:, 1] > 0]).astype(int)) > 0)
-    kept = i_dq[:, 1] > 0
-    starts = np.searchsorted(np.flatnonzero(kept), runs)
-    arrays = {name: getattr(motoring, name)[kept] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")}
-    one_sided = replace(motoring, **arrays, run_starts=starts, i_dq_reference=None)
+    samples = replace(good.samples, i_dq_reference=None)
+    one_sided = only(samples, frames.to_dq(samples.i_abc, samples.angle)[:, 1] > 0)
     (entry,) = (entry for entry in fitted(one_sided).calibrations if entry.name == "resolver_offset")
     assert not entry.applied
     assert "only one sign of i_q" in entry.message

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import record, saturating_flux, tanh_drop
+from synthetic import only, record, saturating_flux, tanh_drop
 
 from drive_id.core import frames
 from drive_id.core.accumulation.evidence import Evidence
@@ -80,10 +80,7 @@ def test_any_speed_and_direction(speed):
 
 def test_several_recordings_count_as_one(clean):
     half = len(clean) // 2
-    parts = [
-        replace(clean, **{name: getattr(clean, name)[part] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")})
-        for part in (slice(0, half + 1), slice(half, None))
-    ]
+    parts = [clean.part(0, half + 1), clean.part(half, len(clean))]
     whole, split = (identify(recordings, FitSettings("joint")) for recordings in ([clean], parts))
     np.testing.assert_allclose(split.flux_map.psi_d, whole.flux_map.psi_d, atol=1e-9)
     assert split.resistance == pytest.approx(whole.resistance, rel=1e-9)
@@ -94,9 +91,7 @@ def test_accumulating_within_a_known_disc_needs_no_look_at_the_data_first(clean)
     evidence = Evidence.within(FitSettings("joint", i_max=300.0), 300.0)
     step = 777
     for start in range(0, len(clean) - 1, step):
-        part = slice(start, start + step + 1)
-        names = ("stamp", "i_abc", "u_abc", "angle", "speed")
-        evidence.add(replace(clean, **{name: getattr(clean, name)[part] for name in names}))
+        evidence.add(clean.part(start, min(start + step + 1, len(clean))))
     live = conclude(evidence, [])
     inside = offline.flux_map.inside
     np.testing.assert_allclose(live.flux_map.psi_q[inside], offline.flux_map.psi_q[inside], atol=1e-9)
@@ -172,15 +167,7 @@ def test_one_block_of_time_leaves_the_deviations_unknown(method):
 
 def test_half_a_disc_gives_half_a_map():
     samples = record(duration=4.0)
-    i_dq = frames.to_dq(samples.i_abc, samples.angle)
-    left = i_dq[:, 0] < 0
-    kept = np.flatnonzero(left)
-    breaks = np.concatenate([[0], np.flatnonzero(np.diff(kept) > 1) + 1])
-    half = replace(
-        samples,
-        **{name: getattr(samples, name)[kept] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")},
-        run_starts=breaks,
-    )
+    half = only(samples, frames.to_dq(samples.i_abc, samples.angle)[:, 0] < 0)
     result = identify([half], FitSettings("joint", i_max=300.0))
     assert 0.4 < result.report.coverage < 0.6
     assert errors(result).max() < 5e-3
@@ -188,7 +175,7 @@ def test_half_a_disc_gives_half_a_map():
     assert not result.flux_map.inside[grid[..., 0] > 20].any()
     assert np.isnan(result.flux_map.sigma_d[grid[..., 0] > 20]).all()
     assert np.abs(result.flux_map.psi_d).max() < 0.5  # sane values also where there are no data
-    assert result.report.gaps == len(breaks) - 1
+    assert result.report.gaps == len(half.run_starts) - 1
     assert result.report.unseen > 0
     assert result.report.rank < result.report.parameters
 

@@ -226,12 +226,9 @@ def test_a_rest_that_comes_in_pieces_is_the_same_rest(good):
     settings = FitSettings("joint", i_max=300.0)
     whole, pieces = Evidence.within(settings, 300.0), Evidence.within(settings, 300.0)
     whole.add(samples)
-    names = ("stamp", "i_abc", "u_abc", "angle", "speed")
     for run in samples.runs():
         for start in range(run.start, run.stop - 1, 333):
-            part = slice(start, min(start + 334, run.stop))
-            piece = replace(samples, run_starts=np.zeros(1, np.int64), **{n: getattr(samples, n)[part] for n in names})
-            pieces.add(piece, continues=start > run.start)
+            pieces.add(samples.part(start, min(start + 334, run.stop)), continues=start > run.start)
     assert pieces.idle == whole.idle > 4000
     assert pieces.information.rows == whole.information.rows
     np.testing.assert_allclose(pieces.information.total, whole.information.total, rtol=1e-9)

@@ -23,10 +23,8 @@ def test_recordings_that_overlap_are_moved_behind_those_before():
     several, found = SeveralRecordings(), []
     for recording in parts:
         several.begin()
-        half = {n: getattr(recording, n)[:200] for n in ("stamp", "i_abc", "u_abc", "angle", "speed")}
-        rest = {n: getattr(recording, n)[199:] for n in half}
-        for arrays, continues in ((half, False), (rest, True)):
-            found.append(several.placed(Piece(replace(recording, **arrays), continues)))
+        for part, continues in ((recording.part(0, 200), False), (recording.part(199, len(recording)), True)):
+            found.append(several.placed(Piece(part, continues)))
     stamps = np.concatenate([piece.samples.stamp[int(piece.continues) :] for piece in found])
     np.testing.assert_array_equal(stamps, expected)
     assert several.moved == [1, 3]

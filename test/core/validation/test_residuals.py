@@ -14,6 +14,7 @@ from drive_id.bench.settings import SimulationSettings
 from drive_id.core import frames
 from drive_id.core.validation.residuals import Residual, over_angle, over_plane, over_time, residual_voltage
 from drive_id.fitting.simulated import run_experiment
+from drive_id.types import Samples
 
 CURRENT = np.linspace(-400.0, 400.0, 801)
 NO_DROP = (CURRENT, np.zeros(801))
@@ -96,11 +97,7 @@ def test_the_simulated_drive_agrees_with_its_own_machine():
 
 def test_nothing_is_integrated_across_a_gap():
     samples = synthetic.record(resistance=RESISTANCE, duration=0.5)
-    kept = np.r_[0:2000, 3000:5000]
-    names = ("stamp", "i_abc", "u_abc", "angle", "speed")
-    gapped = replace(
-        samples, **{name: getattr(samples, name)[kept] for name in names}, run_starts=np.array([0, 2000])
-    )  # fmt: skip
+    gapped = Samples.joined([samples.part(0, 2000), samples.part(3000, 5000)])
     assert np.abs(residual_voltage(gapped, flux, RESISTANCE, NO_DROP).voltage).max() < 0.01
 
 

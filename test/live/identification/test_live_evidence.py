@@ -29,7 +29,7 @@ from drive_id.live.identification.identifier import Identifier
 from drive_id.live.identification.live_evidence import LiveEvidence
 from drive_id.live.identification.warm_up import warm_up
 from drive_id.result.pictures import plots
-from drive_id.types import silent
+from drive_id.types import Samples, silent
 
 SETTINGS = FitSettings("joint", i_max=300.0)
 
@@ -68,8 +68,8 @@ def test_snapshots_are_the_offline_fit_of_what_was_there(samples, method):
     feed(live, samples, 12_345)
     second = live.snapshot(method)
     settings = replace(SETTINGS, method=method)
-    part = replace(samples, **{n: getattr(samples, n)[:12_345] for n in ("stamp", "i_abc", "u_abc", "angle", "speed")})
-    for snapshot, recording in ((second, samples), (first, part)):  # the older one last: later samples are not in it
+    older = (first, samples.part(0, 12_345))  # the last one: later samples are not in it
+    for snapshot, recording in ((second, samples), older):
         found, expected = snapshot.conclude().drive, identify([recording], settings)
         assert_same(found, expected)
         # such a map folds at some points, and a simulation that passes there amplifies rounding
@@ -164,10 +164,8 @@ def test_a_rest_between_two_trajectories_divides_the_excerpt_only():
 def test_pieces_with_gaps_are_put_together():
     part = record(duration=0.05)
     later = replace(part, stamp=part.stamp + 10**9, run_starts=np.array([0, 100]))
-    last = {name: getattr(later, name)[-1:] for name in ("stamp", "i_abc", "u_abc", "angle", "speed")}
     more = replace(part, stamp=part.stamp + 2 * 10**9, run_starts=np.array([0, 200]))
-    begun = {n: np.concatenate([last[n], getattr(more, n)]) for n in last}
-    going_on = replace(more, **begun, run_starts=np.array([0, 201]))
+    going_on = replace(Samples.joined([later.part(499, 500), more]), run_starts=np.array([0, 201]))
     together = joined([Piece(part, True), Piece(later, False), Piece(going_on, True)])
     assert together.run_starts.tolist() == [0, 500, 600, 1200]
     assert len(together) == 1500

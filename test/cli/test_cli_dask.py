@@ -21,9 +21,8 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, WorkerError
-from drive_id.files.write.writer import write_recording
 from drive_id.fitting.dask_cluster import on_dask
-from drive_id.fitting.simulated import run_experiment
+from drive_id.fitting.simulated import simulate_bag
 from drive_id.fitting.sources import Sources, accumulate_sources
 
 RADIUS = FitSettings(method="joint", i_max=300.0)
@@ -89,8 +88,7 @@ def bags(bag, tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
     for seed, seconds in enumerate((0.71, 1.2)):
         settings = SimulationSettings(current_noise=1e-3, seed=seed)
-        simulation = run_experiment(machine_map("ipm"), settings, TRAJECTORY, seconds)
-        write_recording(folder / str(seed), simulation.samples, simulation.truth)
+        simulate_bag(machine_map("ipm"), settings, folder / str(seed), TRAJECTORY, seconds)
     return [bag, folder / "0", folder / "1"]
 
 

@@ -13,15 +13,14 @@ from test_cli import JOINT, assert_one_sentence, tree
 from drive_id.bench.machines import machine_map
 from drive_id.bench.settings import SimulationSettings
 from drive_id.files.write.writer import write_recording
-from drive_id.fitting.simulated import run_experiment
+from drive_id.fitting.simulated import simulate_bag
 
 
 @pytest.fixture(scope="module")
 def other(tmp_path_factory):
     """A second recording of the same drive; read only."""
-    simulation = run_experiment(machine_map("ipm"), SimulationSettings(current_noise=1e-3, seed=1), TRAJECTORY, 1.0)
     path = tmp_path_factory.mktemp("recorded") / "other"
-    write_recording(path, simulation.samples, simulation.truth)
+    simulate_bag(machine_map("ipm"), SimulationSettings(current_noise=1e-3, seed=1), path, TRAJECTORY, 1.0)
     return path
 
 

@@ -17,9 +17,8 @@ from drive_id.cli.options import beside
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, NotABagError
 from drive_id.files.inputs.remote import url_of
-from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import accumulate_bags
-from drive_id.fitting.simulated import run_experiment
+from drive_id.fitting.simulated import simulate_bag
 from drive_id.fitting.sources import Sources, accumulate_sources
 
 JOINT = FitSettings(method="joint")
@@ -27,10 +26,8 @@ JOINT = FitSettings(method="joint")
 
 @pytest.fixture(scope="module")
 def other(tmp_path_factory):
-    settings = SimulationSettings(current_noise=1e-3, seed=7)
-    simulation = run_experiment(machine_map("ipm"), settings, TRAJECTORY, 0.71)
     path = tmp_path_factory.mktemp("remote") / "other"
-    write_recording(path, simulation.samples, simulation.truth)
+    simulate_bag(machine_map("ipm"), SimulationSettings(current_noise=1e-3, seed=7), path, TRAJECTORY, 0.71)
     return path
 
 

@@ -29,7 +29,7 @@ from drive_id.files.results.information import read_information, write_informati
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import accumulate_bags, fit_bags
 from drive_id.fitting.processes import in_order, in_processes
-from drive_id.fitting.simulated import run_experiment
+from drive_id.fitting.simulated import simulate_bag
 from drive_id.fitting.sources import Sources, accumulate_sources, pairwise
 
 JOINT = FitSettings(method="joint")
@@ -42,8 +42,7 @@ def bags(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bags")
     for number, (speed, seconds) in enumerate(((500.0, 1.03), (800.0, 0.71), (300.0, 1.2))):
         settings = SimulationSettings(current_noise=1e-3, speeds=(speed,), seed=number)
-        simulation = run_experiment(machine_map("ipm"), settings, TRAJECTORY, seconds)
-        write_recording(folder / f"bag_{number}", simulation.samples, simulation.truth)
+        simulate_bag(machine_map("ipm"), settings, folder / f"bag_{number}", TRAJECTORY, seconds)
     return [folder / f"bag_{number}" for number in range(3)]
 
 

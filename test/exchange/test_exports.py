@@ -329,6 +329,7 @@ FILLED = {  # the same for tools that refuse NaN
     "simscape": lambda: mat("simscape", SYMMETRIC, on_disc())["fluxD_dq0"][..., 0],
     "motor-control": lambda: mat("motor-control", drive=on_disc())["pmsm"].PMSMLUT.FluxDTable,
     "plecs": lambda: mat("plecs", drive=on_disc())["psid"],
+    "powertrain": lambda: mat("powertrain", drive=on_disc())["id"],
 }
 
 
@@ -431,19 +432,6 @@ def test_another_package_adds_a_format():
         export_format("none")
     with pytest.raises(ConfigurationError, match=r"There is no export format 'labs': did you mean lab\."):
         export_format("labs")
-
-
-def gapped(radius=14.0):
-    m = DRIVE.flux_map
-    inside = np.hypot(m.i_d[:, None], m.i_q) <= radius
-    return replace(DRIVE, drive=replace(DRIVE.drive, flux_map=replace(m, inside=inside)))
-
-
-def test_an_inverse_table_has_no_gaps():
-    """Simulink refuses NaN in a table."""
-    text, exported = content_of(gapped(), "powertrain", CHOICE)
-    assert np.isfinite(loadmat(io.BytesIO(text))["id"]).all()
-    assert "they hold a continuation of the map" in exported.warnings[0]
 
 
 @pytest.mark.parametrize("name", ["csv", "netcdf", "c-header", "vesc"])

@@ -303,6 +303,19 @@ def test_bad_files(tmp_path, case):
     assert said in str(refused.value)
 
 
+def _point_rows(psi_scale=1.0, change=None):
+    i_d, i_q = (axis.ravel() for axis in grids())
+    psi = np.stack(flux(i_d, i_q)) * psi_scale
+    if change is not None:
+        psi[change] += 0.15 * np.abs(psi).max()
+    return np.column_stack([i_d, i_q, *psi])
+
+
+def _import_points(path, rows, header="i_d,i_q,psi_d,psi_q", **options):
+    np.savetxt(path, rows, delimiter=",", header=header, comments="")
+    return import_map(Source(path, **options))
+
+
 def test_other_bad_input(tmp_path):
     with pytest.raises(ConfigurationError, match="no file"):
         Source(tmp_path / "none.csv")
@@ -328,45 +341,26 @@ def test_other_bad_input(tmp_path):
     savemat(tmp_path / "torque.mat", {"Id": grids()[0], "Iq": grids()[1], "Fd": psi_d, "Fq": psi_q, "T": psi_d[1:]})
     with pytest.raises(ConfigurationError, match="350 torques for 375 fluxes"):
         import_map(Source(tmp_path / "torque.mat"))
-    np.savetxt(
-        tmp_path / "line.txt", np.outer(np.arange(1.0, 40.0), np.ones(4)), header="i_d i_q psi_d psi_q", comments=""
-    )
     with pytest.raises(ConfigurationError, match="points lie on lines"):
-        import_map(Source(tmp_path / "line.txt"))
-    rows = np.stack([x.ravel() for x in (*grids(), *flux(*grids()))], axis=-1)
-    np.savetxt(tmp_path / "large.txt", 1e200 * rows, header="i_d i_q psi_d psi_q", comments="")
+        _import_points(tmp_path / "line.csv", np.outer(np.arange(1.0, 40.0), np.ones(4)))
     with pytest.raises(ConfigurationError, match=r"beyond 1e\+12"):
-        import_map(Source(tmp_path / "large.txt", scalars={"resistance": 1.0}))
-    np.savetxt(tmp_path / "twice.csv", np.concatenate([rows, rows]), header="i_d i_q psi_d psi_q", comments="")
+        _import_points(tmp_path / "large.csv", 1e200 * _point_rows(), scalars={"resistance": 1.0})
     with pytest.raises(ConfigurationError, match="several values at the same currents"):
-        import_map(Source(tmp_path / "twice.csv"))
-
-
-def _point_rows(psi_scale=1.0, change=None):
-    i_d, i_q = (axis.ravel() for axis in grids())
-    psi = np.stack(flux(i_d, i_q)) * psi_scale
-    if change is not None:
-        psi[change] += 0.15 * np.abs(psi).max()
-    return np.column_stack([i_d, i_q, *psi])
+        _import_points(tmp_path / "twice.csv", np.tile(_point_rows(), (2, 1)))
 
 
 def test_units_of_headings_and_of_milliweber(tmp_path):
     rows = _point_rows(1e3)
-    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="i_d [A],i_q [A],psi_d [mWb],psi_q [mWb]", comments="")
     columns = {"i_d": "i_d [A]", "i_q": "i_q [A]", "psi_d": "psi_d [mWb]", "psi_q": "psi_q [mWb]"}
-    found = import_map(Source(tmp_path / "a.csv", columns=columns)).flux_map
+    found = _import_points(tmp_path / "a.csv", rows, ",".join(columns.values()), columns=columns).flux_map
     np.testing.assert_allclose(found.psi_dq(-7.5, 6.0), flux(-7.5, 6.0), atol=1e-9)
-    np.savetxt(tmp_path / "b.csv", rows, delimiter=",", header="i_d,i_q,psi_d,psi_q", comments="")
     with pytest.raises(ConfigurationError, match=r"reaches 5\d\d Wb, as if it were in mWb \(then --flux-scale 0.001\)"):
-        import_map(Source(tmp_path / "b.csv"))
+        _import_points(tmp_path / "b.csv", rows)
 
 
 def test_an_outlier_is_told(tmp_path):
     for change, said in ((None, 0), ((1, 130), 1)):
-        np.savetxt(
-            tmp_path / "o.csv", _point_rows(change=change), delimiter=",", header="i_d,i_q,psi_d,psi_q", comments=""
-        )
-        warnings = import_map(Source(tmp_path / "o.csv")).warnings
+        warnings = _import_points(tmp_path / "o.csv", _point_rows(change=change)).warnings
         assert len(warnings) == said
     i_d, i_q = (axis.ravel()[130] for axis in grids())
     assert warnings[0].startswith(
@@ -378,18 +372,16 @@ def test_fluxes_that_may_be_in_milliweber_are_told(tmp_path):
     """A machine of 4 mWb: its map could be that of a large machine."""
     largest = np.hypot(*_point_rows()[:, 2:].T).max()
     for milliweber, codes in ((1.9e3, []), (4.0e3, ["import_large_flux"])):
-        rows = _point_rows(1e-3 * milliweber / largest)
-        np.savetxt(tmp_path / "m.csv", rows, delimiter=",", header="i_d,i_q,psi_d,psi_q", comments="")
-        assert [warning.code for warning in import_map(Source(tmp_path / "m.csv")).warnings] == codes
+        found = _import_points(tmp_path / "m.csv", _point_rows(1e-3 * milliweber / largest))
+        assert [warning.code for warning in found.warnings] == codes
 
 
 def test_an_outlier_that_makes_a_map_implausible_is_named(tmp_path):
     rows = _point_rows()
     rows[130, 3] -= 20 * np.abs(rows[:, 3]).max()
-    np.savetxt(tmp_path / "o.csv", rows, delimiter=",", header="i_d,i_q,psi_d,psi_q", comments="")
     place = rf"which is for one point. The flux linkage at i_d = {rows[130, 0]:.4g} A, i_q = {rows[130, 1]:.4g} A"
     with pytest.raises(ConfigurationError, match=place):
-        import_map(Source(tmp_path / "o.csv"))
+        _import_points(tmp_path / "o.csv", rows)
 
 
 def test_currents_that_differ_by_less_than_numbers_tell_are_refused(tmp_path):
@@ -397,9 +389,8 @@ def test_currents_that_differ_by_less_than_numbers_tell_are_refused(tmp_path):
     rows = _point_rows()
     rows[:40, 0] = 1e-310 * np.arange(40)
     rows[:40, 1] = 0.0
-    np.savetxt(tmp_path / "d.csv", rows, delimiter=",", header="i_d,i_q,psi_d,psi_q", comments="")
     with pytest.raises(ConfigurationError, match="not plausible"):
-        import_map(Source(tmp_path / "d.csv"))
+        _import_points(tmp_path / "d.csv", rows)
 
 
 @pytest.mark.parametrize("axes", [(0,), (1,), (0, 1)])

@@ -16,7 +16,7 @@ from result_folder import forget_digests
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import OutputError, ResultError
 from drive_id.files.results import folder as results
-from drive_id.files.results.folder import check_absent, check_output, replace_folder
+from drive_id.files.results.folder import check_output, replace_folder
 from drive_id.files.results.identification import Provenance, read_results, results_tree, write_results
 
 
@@ -164,12 +164,6 @@ def test_without_a_truth_there_is_no_score(fitted):
     assert tree["metrics"]["nrmse_d"] is tree["metrics"]["nrmse_q"] is None
     assert tree["machine"] == ""
     assert tree["warnings"] == list(fitted.drive.report.warnings)
-
-
-def test_equal_results_are_equal_files(written, fitted, tmp_path):
-    write_results(tmp_path / "again", fitted.drive, fitted.provenance)
-    for name in ("identification.json", "flux_map.npz"):
-        assert (tmp_path / "again" / name).read_bytes() == (written / name).read_bytes()
 
 
 def test_earlier_results_are_replaced_and_other_files_stay(written, fitted):
@@ -444,16 +438,3 @@ def test_an_unreadable_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "iterdir", denied)
     with pytest.raises(OutputError, match="Permission denied"):
         check_output(tmp_path / "out")
-
-
-def test_what_is_new_must_not_exist(tmp_path):
-    check_absent(tmp_path / "new" / "deeper")
-    (tmp_path / "file").touch()
-    (tmp_path / "dangling").symlink_to("nowhere")
-    for name in ("file", "dangling", "."):
-        with pytest.raises(OutputError, match="exists already"):
-            check_absent(tmp_path / name)
-    with pytest.raises(OutputError, match="because of"):
-        check_absent(tmp_path / "file" / "below")
-    with pytest.raises(OutputError, match="File name too long"):
-        check_absent(tmp_path / ("x" * 300))

@@ -88,8 +88,8 @@ class _Since:
     def note(self, steady: float, holds: bool) -> None:
         self.begin = (steady if self.begin is None else self.begin) if holds else None
 
-    def lasts(self, steady: float, longer: float) -> bool:
-        return self.begin is not None and steady - self.begin > longer
+    def lasts(self, steady: float) -> bool:
+        return self.begin is not None and steady - self.begin > _BRIEFLY
 
 
 @dataclass
@@ -341,7 +341,7 @@ class Watchdog:
         return Fault(f"The clock of this node has stood still for {steady - self._clock[1]:.2f} s: /clock is paused.")
 
     def _offset_fault(self, stream: _Stream[SampleBlock] | _Stream[DriveStatus], steady: float) -> Fault | None:
-        if not stream.away.lasts(steady, _BRIEFLY):
+        if not stream.away.lasts(steady):
             return None
         side = "behind" if stream.offset > 0 else "ahead of"
         return Fault(
@@ -352,9 +352,9 @@ class Watchdog:
 
     def _following_fault(self, steady: float) -> Fault | None:
         limit = self.settings.largest_distance
-        if self._foreign.lasts(steady, _BRIEFLY):
+        if self._foreign.lasts(steady):
             return Fault("The drive follows the references of somebody else: stop whoever drives it.", True)
-        if self._unfollowed.lasts(steady, _BRIEFLY):
+        if self._unfollowed.lasts(steady):
             return Fault("The drive does not follow the references: it reports no session.", True)
         if self._distance <= limit:
             return None

@@ -56,7 +56,7 @@ def read_diagnostics(content: bytes, shape: tuple[int, ...]) -> Diagnostics | No
     arrays = read_arrays(content, largest=_LARGEST)
     if int(arrays["format_version"]) > _FORMAT_VERSION:
         return None
-    angle, time = (_table(arrays, name, name, 2) for name in ("angle", "time"))
+    angle, time = (_table(arrays, name) for name in ("angle", "time"))
     trajectory = np.asarray(arrays["trajectory"], np.float64)
     if trajectory.shape[1:] != (2,):
         raise ResultError("the trajectory is not made of i_d and i_q")
@@ -99,10 +99,10 @@ def _comparison(arrays: Mapping[str, NDArray[Any]], number: int, shape: tuple[in
     )
 
 
-def _table(arrays: Mapping[str, NDArray[Any]], prefix: str, axis: str, width: int) -> tuple[FloatArray, ...]:
-    """Return the axis (B,) of bins, and mean and rms (B, width)."""
-    found = tuple(np.asarray(arrays[f"{prefix}_{name}"], np.float64) for name in (axis, "mean", "rms"))
-    if any(values.shape != (len(found[0]), width) for values in found[1:]):
+def _table(arrays: Mapping[str, NDArray[Any]], axis: str) -> tuple[FloatArray, ...]:
+    """Return the axis (B,) of bins, and mean and rms (B, 2)."""
+    found = tuple(np.asarray(arrays[f"{axis}_{name}"], np.float64) for name in (axis, "mean", "rms"))
+    if any(values.shape != (len(found[0]), 2) for values in found[1:]):
         raise ResultError(f"the residuals over {axis} do not fit their bins")
     return found
 

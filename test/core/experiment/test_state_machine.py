@@ -99,6 +99,14 @@ class Run:
             self.ticks(1)
 
 
+def started(chosen=PLAIN, ticks=0, **changes):
+    """Return a run that has been started this many ticks ago."""
+    run = Run(dataclasses.replace(chosen, **changes))
+    run.start()
+    run.ticks(ticks)
+    return run
+
+
 def assert_smooth(seen, chosen):
     steps = np.hypot(*np.diff(seen, axis=0, prepend=np.zeros((1, 2))).T)
     assert steps.max() <= chosen.slew_rate * chosen.sample_period + 4e-7 * chosen.i_max
@@ -116,8 +124,7 @@ def test_nothing_happens_before_a_start():
 
 @pytest.mark.usefixtures("offset")
 def test_the_whole_course():
-    run = Run(dataclasses.replace(PLAIN, slew_rate=100.0, frequency_d=0.0, frequency_q=0.0))
-    run.start()
+    run = started(slew_rate=100.0, frequency_d=0.0, frequency_q=0.0)
     run.until_idle()
     order = list(dict.fromkeys(run.states))
     assert order == [ExperimentState.RAMP_IN, ExperimentState.RUNNING, ExperimentState.RAMP_OUT, ExperimentState.IDLE]
@@ -131,9 +138,7 @@ def test_the_whole_course():
 
 
 def test_set_points_are_those_of_the_trajectory_at_their_time():
-    run = Run()
-    run.start()
-    run.ticks(17)
+    run = started(ticks=17)
     run.now += 3 * MS + 12345  # a tick that comes when it likes
     run.advance()
     run.ticks(10)
@@ -145,8 +150,7 @@ def test_set_points_are_those_of_the_trajectory_at_their_time():
 
 
 def test_set_points_reach_ahead_by_the_lead_time():
-    run = Run()
-    run.start()
+    run = started()
     for _ in range(20):
         run.ticks(1)
         assert 98 * MS < max(run.drive.due) - run.now <= 100 * MS
@@ -154,16 +158,13 @@ def test_set_points_reach_ahead_by_the_lead_time():
 
 @pytest.mark.parametrize("repeat", [1, 3])
 def test_repetitions(repeat):
-    run = Run(dataclasses.replace(PLAIN, trajectory="spiral", spiral_turns=2.0, repeat=repeat))
-    run.start()
+    run = started(trajectory="spiral", spiral_turns=2.0, repeat=repeat)
     run.until_idle()
     assert len(run.drive.seen()) == pytest.approx(repeat * 500 + 100, abs=2)
 
 
 def test_without_end_until_stopped():
-    run = Run(dataclasses.replace(PLAIN, repeat=0))
-    run.start()
-    run.ticks(1000)
+    run = started(ticks=1000, repeat=0)
     assert run.experiment.state(run.now) is ExperimentState.RUNNING
     run.experiment.stop(run.now, "enough")
     run.until_idle()
@@ -171,9 +172,7 @@ def test_without_end_until_stopped():
 
 
 def test_a_stop_takes_back_what_was_published_ahead():
-    run = Run()
-    run.start()
-    run.ticks(30)
+    run = started(ticks=30)
     before = run.drive.at(run.now)
     assert np.hypot(*before) > 1.0
     run.experiment.stop(run.now, "stop")
@@ -193,8 +192,7 @@ def test_a_stop_takes_back_what_was_published_ahead():
 @pytest.mark.usefixtures("offset")
 def test_every_way_out_of_every_state(state, how):
     chosen = dataclasses.replace(PLAIN, slew_rate=50.0, frequency_d=0.0, frequency_q=0.0)
-    run = Run(chosen)
-    run.start()
+    run = started(chosen)
     run.to(state)
     run.ticks(3)
     jumps = "cut" in how
@@ -223,9 +221,7 @@ def test_every_way_out_of_every_state(state, how):
 
 
 def test_a_fault_that_lasts_does_not_flood_the_topic():
-    run = Run()
-    run.start()
-    run.ticks(30)
+    run = started(ticks=30)
     for _ in range(50):
         run.experiment.trip(run.now, "overcurrent", immediate=True)
         run.advance()
@@ -237,9 +233,7 @@ def test_a_fault_that_lasts_does_not_flood_the_topic():
 @pytest.mark.parametrize("held_up", [0, 100 * MS])
 def test_two_overrides_within_one_sample_do_not_jump(held_up):
     """Also where the last set-point that was published is due."""
-    run = Run()
-    run.start()
-    run.ticks(30)
+    run = started(ticks=30)
     run.now += held_up
     due = run.drive.at(run.now)
     run.experiment.stop(run.now, "stop")
@@ -256,9 +250,7 @@ def test_two_overrides_within_one_sample_do_not_jump(held_up):
 @pytest.mark.parametrize("delay", [0, 1, 1_500_000, 20_000_000])
 def test_what_is_published_after_a_stop_may_come_a_little_later(how, delay):
     """As it does in a node, which reads the clock again."""
-    run = Run()
-    run.start()
-    run.ticks(30)
+    run = started(ticks=30)
     if how == "stop":
         run.experiment.stop(run.now, "stop")
     else:
@@ -272,9 +264,7 @@ def test_what_is_published_after_a_stop_may_come_a_little_later(how, delay):
 
 
 def test_a_trip_stays_until_the_next_start():
-    run = Run()
-    run.start()
-    run.ticks(20)
+    run = started(ticks=20)
     run.experiment.trip(run.now, "first", immediate=False)
     run.experiment.trip(run.now, "second", immediate=False)
     run.until_idle()
@@ -297,9 +287,7 @@ def test_nothing_trips_what_is_not_running():
 
 def test_held_up_too_long():
     """The drive has run out of set-points and is at zero: going on would be a jump."""
-    run = Run()
-    run.start()
-    run.ticks(30)
+    run = started(ticks=30)
     run.now += 150 * MS
     run.advance()
     assert "0.05 s too late" in run.experiment.trip_reason.replace("0.050", "0.05").replace("0.049", "0.05")
@@ -324,9 +312,7 @@ def test_held_up_between_a_start_and_its_first_block(held_up):
 
 
 def test_held_up_between_a_block_and_its_publication():
-    run = Run()
-    run.start()
-    run.ticks(30)
+    run = started(ticks=30)
     run.now += 10 * MS
     (block,) = run.experiment.advance(run.now)
     assert block.i_dq.any()
@@ -341,8 +327,7 @@ def test_held_up_between_a_block_and_its_publication():
 
 
 def test_held_up_less_than_the_lead_time_does_not_matter():
-    run = Run()
-    run.start()
+    run = started()
     for _ in range(8):
         run.now += 95 * MS
         run.advance()
@@ -352,9 +337,7 @@ def test_held_up_less_than_the_lead_time_does_not_matter():
 
 
 def test_the_clock_is_set_back():
-    run = Run()
-    run.start()
-    run.ticks(30)
+    run = started(ticks=30)
     run.now -= 3_600_000 * MS
     blocks = run.experiment.advance(run.now)
     assert run.experiment.trip_reason == "The clock was set back by 3600.000 s."
@@ -367,9 +350,7 @@ def test_the_clock_is_set_back():
 
 
 def test_the_clock_stands_still():
-    run = Run()
-    run.start()
-    run.ticks(30)
+    run = started(ticks=30)
     count = run.drive.next
     for _ in range(100):
         run.advance()
@@ -379,9 +360,7 @@ def test_the_clock_stands_still():
 
 
 def test_coverage_grows_with_the_experiment():
-    run = Run(dataclasses.replace(PLAIN, sample_period=1e-4, duration=3.0, frequency_d=7.3, frequency_q=2.3))
-    run.start()
-    run.ticks(50)
+    run = started(ticks=50, sample_period=1e-4, duration=3.0, frequency_d=7.3, frequency_q=2.3)
     early = run.experiment.coverage
     run.until_idle()
     assert 0.1 < early < 0.8
@@ -391,8 +370,7 @@ def test_coverage_grows_with_the_experiment():
 def test_coverage_counts_what_has_come_due_not_what_is_published_ahead():
     """With 3 s published ahead, half of the disc was "visited" before the first set-point was due."""
     chosen = dataclasses.replace(PLAIN, sample_period=1e-3, duration=5.0, lead_time=3.0)
-    run = Run(chosen)
-    run.start()
+    run = started(chosen)
     assert len(run.drive.due) > 1000
     assert run.experiment.coverage == 0.0
     run.ticks(100)  # 1 s; the first set-point was due after half of lead_time
@@ -439,8 +417,7 @@ def test_whatever_the_parameters_and_whatever_happens(values, course):
         chosen = ExperimentSettings(**values)
     except ConfigurationError:
         return
-    run = Run(chosen)
-    run.start()
+    run = started(chosen)
     for action, pause in course:
         run.now += pause
         if action == "stop":

@@ -23,6 +23,7 @@ SETTINGS = ExperimentSettings(
     i_max=10.0, frequency_d=3.0, frequency_q=1.0, duration=2.0, slew_rate=1000.0, sample_period=1e-3, lead_time=0.1,
     watch_timeout=0.2, speed_min=90.0, speed_max=110.0, current_limit=12.0,
 )  # fmt: skip
+EVERY = frozenset({"phase_currents", "resolver", "drive_status"})
 
 
 def phase_currents(i_dq, angle):
@@ -41,12 +42,12 @@ class Bench:
     It follows the references at once and exactly, at an angle that turns; what is wrong with it is set as attributes.
     """
 
-    def __init__(self, settings=SETTINGS):
-        self.watched = SupervisedExperiment(settings)
+    def __init__(self, **changes):
+        self.watched = SupervisedExperiment(dataclasses.replace(SETTINGS, **changes))
         self.now, self.steady, self.count, self.statuses = T0, 100.0, 0, 0
         self.peak, self.speed, self.offset = None, 100.0, 0
         self.follows, self.status = True, {}
-        self.sends = {"phase_currents", "resolver", "drive_status"}
+        self.sends = EVERY
         self.publishers = 1
         self.references = ReferenceBuffer(1000.0, 1000.0)
         self.blocks = []
@@ -107,11 +108,17 @@ class Bench:
         return self.health().values["state"]
 
 
-@pytest.fixture
-def bench():
-    bench = Bench()
+def heard(sends=EVERY, status=None, **changes):
+    """Return a bench whose drive has been heard for 30 ms: what it sends and says, and changes of SETTINGS."""
+    bench = Bench(**changes)
+    bench.sends, bench.status = sends, status or {}
     bench.ticks(3)
     return bench
+
+
+@pytest.fixture
+def bench():
+    return heard()
 
 
 @pytest.fixture
@@ -136,7 +143,7 @@ def test_no_start_without_a_drive():
 
 
 def test_without_watch_it_starts_blindly_but_heeds_what_it_hears():
-    bench = Bench(dataclasses.replace(SETTINGS, watch=False))
+    bench = Bench(watch=False)
     assert bench.start()[0]
     bench.sends = set()
     bench.ticks(100)
@@ -206,7 +213,7 @@ def test_trips(running, fault, reason):
     done, sentence = running.clear()  # the cause persists
     assert not done
     assert sentence.startswith(f"Not cleared: {reason[:20]}")
-    running.sends, running.speed, running.peak = {"phase_currents", "resolver", "drive_status"}, 100.0, None
+    running.sends, running.speed, running.peak = EVERY, 100.0, None
     running.ticks(20)
     done, sentence = running.start()  # the cause is gone, but nobody has looked at it
     assert not done
@@ -271,8 +278,7 @@ def test_a_small_offset_of_the_clock_does_no_harm(offset):
 
 
 def test_a_clock_that_drifts_trips():
-    bench = Bench(dataclasses.replace(SETTINGS, repeat=0))
-    bench.ticks(3)
+    bench = heard(repeat=0)
     assert bench.start()[0]
     ticks = 0
     while not bench.watched.trip_reason and ticks < 1000:
@@ -361,8 +367,7 @@ def test_two_drives_are_named_where_their_counts_mix(bench):
 
 
 def test_the_progress_of_a_first_start_is_that_of_its_course():
-    bench = Bench(dataclasses.replace(SETTINGS, trajectory="first_start"))
-    bench.ticks(3)
+    bench = heard(trajectory="first_start")
     assert bench.start()[0]
     bench.ticks(60)
     assert re.fullmatch(r"running: 0\.\d of \d+\.\d s\.", bench.health().message), bench.health().message
@@ -415,27 +420,20 @@ def test_what_the_drive_says_of_itself_trips(running, status, reason, within):
 
 
 def test_limits_of_the_settings_are_tighter_than_those_of_the_drive():
-    limited = dataclasses.replace(SETTINGS, temperature_max=80.0, dc_link_voltage_min=300.0)
     for status, reason in (
         ({"magnet_temperature": 81.0}, "The magnet has 81 degC, above temperature_max, 80 degC."),
         ({"dc_link_voltage": 299.0}, "The DC link has 299 V, outside of 300 to inf V."),
     ):
-        bench = Bench(limited)
-        bench.status = status
-        bench.ticks(3)
+        bench = heard(status=status, temperature_max=80.0, dc_link_voltage_min=300.0)
         assert bench.start() == (False, f"Not started: {reason}")
 
 
-def test_the_status_is_needed_unless_the_drive_has_none(bench):
-    bench = Bench()
-    bench.sends = {"phase_currents", "resolver"}
-    bench.ticks(3)
+def test_the_status_is_needed_unless_the_drive_has_none():
+    bench = heard({"phase_currents", "resolver"})
     assert "Nothing has arrived on drive_status" in bench.start()[1]
-    bench = Bench(dataclasses.replace(SETTINGS, require_status=False))
-    bench.sends = {"phase_currents", "resolver"}
-    bench.ticks(3)
+    bench = heard({"phase_currents", "resolver"}, require_status=False)
     assert bench.start()[0]
-    bench.sends = {"phase_currents", "resolver", "drive_status"}  # it has one after all
+    bench.sends = EVERY  # it has one after all
     bench.ticks(10)
     bench.sends = {"phase_currents", "resolver"}
     bench.ticks(30)
@@ -443,9 +441,7 @@ def test_the_status_is_needed_unless_the_drive_has_none(bench):
 
 
 def test_the_largest_speed_is_asked_for():
-    unlimited = dataclasses.replace(SETTINGS, speed_min=None, speed_max=None)
-    bench = Bench(unlimited)
-    bench.ticks(3)
+    bench = heard(speed_min=None, speed_max=None)
     assert "speed_max is not set, and the drive reports no speed_limit" in bench.start()[1]
     bench.status = {"speed_limit": 120.0}
     bench.ticks(1)
@@ -468,9 +464,7 @@ def test_a_radius_above_the_limit_of_the_drive_is_refused(bench):
 )
 def test_the_limit_of_the_drive_bounds_the_measured_current(current_limit, peak, limit):
     """By default 1.25 i_max; the drive of 10.5 A trips at 1.1 times that, whatever the parameter allows."""
-    bench = Bench(dataclasses.replace(SETTINGS, current_limit=current_limit))
-    bench.status = {"current_limit": np.nan if peak > 12.0 else 10.5}
-    bench.ticks(3)
+    bench = heard(status={"current_limit": np.nan if peak > 12.0 else 10.5}, current_limit=current_limit)
     bench.start()
     bench.ticks(1)
     bench.peak = peak
@@ -511,8 +505,7 @@ def test_a_press_while_nothing_runs_is_latched_too(bench):
 
 
 def test_an_emergency_stop_that_is_silent_is_one():
-    bench = Bench(dataclasses.replace(SETTINGS, emergency_stop_timeout=0.1))
-    bench.ticks(3)
+    bench = heard(emergency_stop_timeout=0.1)
     assert "The emergency stop (emergency_stop) is silent" in bench.start()[1]
     bench.watched.emergency_stop(bench.now, bench.steady, pressed=False)
     assert bench.start()[0]
@@ -521,7 +514,7 @@ def test_an_emergency_stop_that_is_silent_is_one():
 
 def two_buttons(**values):
     """Return a bench with two emergency stops, both of them released, and what presses or releases one."""
-    bench = Bench(dataclasses.replace(SETTINGS, emergency_stops=("left", "right"), **values))
+    bench = Bench(emergency_stops=("left", "right"), **values)
 
     def say(button, *, pressed):
         return bench.watched.emergency_stop(bench.now, bench.steady, pressed, button)
@@ -581,8 +574,7 @@ def test_two_on_a_topic_cannot_be_watched_for_silence():
 
 
 def test_a_client_that_dies_brings_the_current_to_zero():
-    bench = Bench(dataclasses.replace(SETTINGS, lease_time=0.2, repeat=0))
-    bench.ticks(3)
+    bench = heard(lease_time=0.2, repeat=0)
     bench.watched.heartbeat(bench.steady)
     assert bench.start()[0]
     for _ in range(10):
@@ -593,8 +585,7 @@ def test_a_client_that_dies_brings_the_current_to_zero():
 
 
 def test_the_first_heartbeat_may_come_after_the_start():
-    bench = Bench(dataclasses.replace(SETTINGS, lease_time=0.2, repeat=0))
-    bench.ticks(3)
+    bench = heard(lease_time=0.2, repeat=0)
     assert bench.start()[0]
     bench.watched.heartbeat(bench.steady)
     bench.ticks(10)
@@ -606,8 +597,7 @@ def test_a_start_by_hand_needs_no_heartbeat_unless_it_is_required(bench):
     assert bench.start()[0]
     bench.ticks(30)
     assert bench.state() == "running"
-    bench = Bench(dataclasses.replace(SETTINGS, require_lease=True))
-    bench.ticks(3)
+    bench = heard(require_lease=True)
     assert bench.start()[1] == "Not started: require_lease is set, and nobody sends heartbeats on ~/heartbeat."
 
 
@@ -618,8 +608,7 @@ def test_a_clock_that_stands_still_trips(running):
 
 
 def test_a_dry_run_publishes_nothing_and_supervises():
-    bench = Bench(dataclasses.replace(SETTINGS, dry_run=True))
-    bench.ticks(3)
+    bench = heard(dry_run=True)
     assert bench.start()[1] == "Started: lissajous within 10 A for 2 s, published to nobody (dry_run)."
     bench.ticks(30)
     assert (bench.blocks, bench.state()) == ([], "running")
@@ -824,9 +813,7 @@ def test_a_refused_run_leaves_no_trace(bench):
 
 
 def test_a_drive_that_may_yet_state_its_limits_is_waited_for():
-    bench = Bench(dataclasses.replace(SETTINGS, speed_min=None, speed_max=None, require_status=False))
-    bench.sends = {"phase_currents", "resolver"}
-    bench.ticks(3)
+    bench = heard({"phase_currents", "resolver"}, speed_min=None, speed_max=None, require_status=False)
     assert (bench.health().level, bench.health().values.get("refused for")) == (Level.WARN, None)
     bench.sends |= {"drive_status"}
     bench.ticks(3)

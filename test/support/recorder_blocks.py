@@ -9,6 +9,8 @@ import os
 
 import numpy as np
 import yaml
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
 
 from drive_id.files.messages.block_codec import encode_block
 from drive_id.files.messages.messages import BLOCK_FIELDS, CURRENT_REFERENCE, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
@@ -62,3 +64,16 @@ class FullDisk(io.FileIO):
 def metadata(path):
     """Return what a bag says of itself."""
     return yaml.safe_load((path / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+
+
+def stock_messages(path):
+    """Return topic, stamp and content of the messages that rosbags and mcap find, which must be the same, sorted."""
+    with Reader(path) as reader:
+        found = sorted((connection.topic, stamp, bytes(data)) for connection, stamp, data in reader.messages())
+        assert reader.message_count == len(found)
+    other = []
+    for file in sorted(path.glob("*.mcap")):
+        with file.open("rb") as stream:
+            other += [(c.topic, m.log_time, m.data) for _, c, m in make_reader(stream).iter_messages()]
+    assert sorted(other) == found
+    return found

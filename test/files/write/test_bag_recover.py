@@ -15,8 +15,8 @@ from bag_samples import START as SAMPLES_START
 from bag_samples import make_samples, write_foreign
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from recorder_blocks import TOPICS, feed, metadata
-from rosbags.rosbag2 import Reader, StoragePlugin
+from recorder_blocks import TOPICS, feed, metadata, stock_messages
+from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_typestore
 from typer.testing import CliRunner
 
@@ -73,19 +73,6 @@ def cut(file: Path, size: int, tail: bytes = b"") -> None:
 def digest(path: Path) -> str:
     files = sorted(path.rglob("*")) if path.is_dir() else [path]
     return hashlib.sha256(b"".join(file.read_bytes() for file in files if file.is_file())).hexdigest()
-
-
-def stock_messages(path: Path) -> list:
-    """The messages that rosbags and mcap find, which must be the same."""
-    with Reader(path) as reader:
-        found = sorted((connection.topic, stamp, bytes(data)) for connection, stamp, data in reader.messages())
-        assert reader.message_count == len(found)
-    other = []
-    for file in sorted(path.glob("*.mcap")):
-        with file.open("rb") as stream:
-            other += [(c.topic, m.log_time, m.data) for _, c, m in make_reader(stream).iter_messages()]
-    assert sorted(other) == found
-    return found
 
 
 # -- recordings of ours --------------------------------------------------------------------------------------------

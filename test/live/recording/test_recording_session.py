@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from recorder_blocks import PERIOD, START, TOPICS, FullDisk, block, feed, metadata
+from recorder_blocks import PERIOD, START, TOPICS, FullDisk, block, feed, metadata, stock_messages
 from rosbags.rosbag2 import Reader
 
 from drive_id.errors import ConfigurationError, OutputError
@@ -34,11 +34,6 @@ NO_DISK = os.strerror(errno.ENOSPC)
 
 def record(path, settings=None, **options):
     return RecordingSession(path, TOPICS, settings or RecordingSettings(), **options)
-
-
-def stock_messages(path):
-    with Reader(path) as reader:
-        return [(connection.topic, stamp, bytes(data)) for connection, stamp, data in reader.messages()]
 
 
 def wait_for(condition, timeout=30.0):
@@ -115,7 +110,7 @@ def test_messages_are_written_untouched(tmp_path):
         for number in range(50)
         for topic in TOPICS
     ]
-    assert sorted(stock_messages(tmp_path / "bag")) == sorted(expected)
+    assert stock_messages(tmp_path / "bag") == sorted(expected)
     recording = read_recording(tmp_path / "bag")
     assert (len(recording.samples), recording.warnings) == (5000, ())
     assert sorted(path.name for path in (tmp_path / "bag").iterdir()) == ["bag_0.mcap", "metadata.yaml"]

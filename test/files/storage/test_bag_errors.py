@@ -14,6 +14,7 @@ import pytest
 import yaml
 from bag_samples import PERIOD, START, STEP, make_samples, make_truth, write_foreign
 from copied_bags import by_rosbags, with_messages
+from drive_bags import TOPICS
 from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -31,14 +32,13 @@ from drive_id.errors import (
     TruncatedBagError,
 )
 from drive_id.files.messages.block_codec import encode_block
-from drive_id.files.messages.messages import BLOCK_FIELDS, PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER
+from drive_id.files.messages.messages import BLOCK_FIELDS, PHASE_CURRENTS
 from drive_id.files.messages.signals_file import parse_signals
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.several import read_recording
 from drive_id.files.write.rosbag2_writer import Rosbag2McapWriter
 from drive_id.files.write.writer import write_recording
 
-TOPICS = {"/phase_currents": PHASE_CURRENTS, "/phase_voltages": PHASE_VOLTAGES, "/resolver": RESOLVER}
 Change = Callable[[str, int, dict], dict | None]
 
 

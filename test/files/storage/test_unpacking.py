@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 import zstandard
 from bag_samples import make_samples
+from drive_bags import TOPICS
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
 from drive_id.errors import BagError, MessageTypeError, NotABagError, TruncatedBagError
-from drive_id.files.messages.messages import PHASE_CURRENTS, PHASE_VOLTAGES, RESOLVER, schema_text
+from drive_id.files.messages.messages import PHASE_CURRENTS, schema_text
 from drive_id.files.read.info import bag_info
 from drive_id.files.read.several import read_recording
 from drive_id.files.storage import container
@@ -39,6 +40,20 @@ def of_chunks(packed: bytes, size: int, count: int = 1) -> bytes:
     chunk = struct.pack("<QQQII", 0, 1, size, 0, 4) + b"zstd" + struct.pack("<Q", len(packed)) + packed
     parts = [MAGIC, record(1, bytes(8)), record(6, chunk) * count, record(15, bytes(4)), record(2, bytes(20)), MAGIC]
     return b"".join(parts)
+
+
+def of_messages(path: Path, kinds: dict[str, str], data: bytes, text: str = "", count: int = 1, **options) -> Path:
+    """Write an MCAP file of topics of these types, ours or defined by the text, each with one message many times."""
+    with path.open("wb") as stream:
+        writer = McapWriter(stream, **options)
+        writer.start("ros2")
+        for topic, kind in kinds.items():
+            schema = writer.register_schema(kind, "ros2msg", (text or schema_text(kind)).encode())
+            channel = writer.register_channel(topic, "cdr", schema)
+            for time in range(count):
+                writer.add_message(channel, time, data, time)
+        writer.finish()
+    return path
 
 
 def peak(action, path: Path, kind: type[BagError], said: str) -> float:
@@ -98,15 +113,7 @@ def test_a_file_packed_as_a_whole(tmp_path, monkeypatch, ending):
 
 def test_a_message_packed_by_itself(tmp_path, monkeypatch):
     monkeypatch.setattr(container, "LARGEST_CHUNK", 1 << 22)
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream)
-        writer.start("ros2")
-        kinds = {"phase_currents": PHASE_CURRENTS, "phase_voltages": PHASE_VOLTAGES, "resolver": RESOLVER}
-        for topic, kind in kinds.items():
-            schema = writer.register_schema(kind, "ros2msg", schema_text(kind).encode())
-            writer.add_message(writer.register_channel(f"/{topic}", "cdr", schema), 1, zeros(1 << 24), 1)
-        writer.finish()
+    path = of_messages(tmp_path / "x.mcap", TOPICS, zeros(1 << 24))
     with pytest.raises(TruncatedBagError, match="cannot be decompressed"):
         read_recording(path)
 
@@ -140,14 +147,8 @@ def test_a_message_that_is_too_large(tmp_path, monkeypatch):
     "text", ["# a comment\n" * 300_000, "".join(f"float64 field_{k}\n" for k in range(20_000)), "\n" * 200_000]
 )
 def test_definitions_that_are_too_long(tmp_path, text):
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(stream, compression=CompressionType.NONE)
-        writer.start("ros2")
-        for topic in ("phase_currents", "phase_voltages", "resolver"):
-            schema = writer.register_schema("odd_msgs/msg/Odd", "ros2msg", text.encode())
-            writer.add_message(writer.register_channel(f"/{topic}", "cdr", schema), 1, bytes(64), 1)
-        writer.finish()
+    kinds = dict.fromkeys(TOPICS, "odd_msgs/msg/Odd")
+    path = of_messages(tmp_path / "x.mcap", kinds, bytes(64), text, compression=CompressionType.NONE)
     with pytest.raises(MessageTypeError, match="it is too long"):
         read_recording(path)
 
@@ -174,17 +175,8 @@ def checked(path: Path) -> bool:
     ],
 )
 def test_which_files_have_checksums(tmp_path, compression, crcs, data_crcs, chunks, expected):
-    path = tmp_path / "x.mcap"
-    with path.open("wb") as stream:
-        writer = McapWriter(
-            stream, compression=compression, enable_crcs=crcs, enable_data_crcs=data_crcs, use_chunking=chunks
-        )
-        writer.start("ros2")
-        schema = writer.register_schema(PHASE_CURRENTS, "ros2msg", schema_text(PHASE_CURRENTS).encode())
-        key = writer.register_channel("/x", "cdr", schema)
-        for k in range(100):
-            writer.add_message(key, k, bytes(1000), k)
-        writer.finish()
+    options = {"enable_crcs": crcs, "enable_data_crcs": data_crcs, "use_chunking": chunks, "compression": compression}
+    path = of_messages(tmp_path / "x.mcap", {"/x": PHASE_CURRENTS}, bytes(1000), count=100, **options)
     assert checked(path) == expected
 
 
@@ -192,15 +184,10 @@ def test_a_checksum_around_all_of_a_file(tmp_path):
     write_recording(tmp_path / "bag", make_samples())
     (file,) = (tmp_path / "bag").glob("*.mcap")
     assert checked(tmp_path / "bag")
+    plain = {"enable_crcs": False, "compression": CompressionType.NONE}
+    bare = of_messages(tmp_path / "bare.mcap", {"/x": "a/msg/B"}, bytes(12), "float64 x", **plain)
     for sealed in (False, True):
         target = tmp_path / f"{sealed}.mcap.zstd"
-        bare = tmp_path / "bare.mcap"
-        with bare.open("wb") as stream:
-            writer = McapWriter(stream, enable_crcs=False, compression=CompressionType.NONE)
-            writer.start("ros2")
-            key = writer.register_channel("/x", "cdr", writer.register_schema("a/msg/B", "ros2msg", b"float64 x"))
-            writer.add_message(key, 1, bytes(12), 1)
-            writer.finish()
         target.write_bytes(zstandard.ZstdCompressor(write_checksum=sealed).compress(bare.read_bytes()))
         assert checked(target) == sealed
     assert file.exists()

@@ -213,20 +213,20 @@ def test_the_buffer_forgets():
     assert len(references) <= 1
 
 
-DRIVE = SimulationSettings(current_noise=1e-3)
+IPM, DRIVE = machine_map("ipm"), SimulationSettings(current_noise=1e-3)
 
 
-@pytest.fixture(scope="module")
-def map_of_ipm():
-    return machine_map("ipm")
+@pytest.fixture
+def bench():
+    return SimulatedBench(IPM, DRIVE, BenchSettings())
 
 
 def columns(blocks, name):
     return np.concatenate([np.stack(getattr(block, name), axis=-1) for block in blocks])
 
 
-def test_blocks_follow_each_other_and_equal_the_drive_alone(map_of_ipm):
-    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings(block_size=30))
+def test_blocks_follow_each_other_and_equal_the_drive_alone():
+    bench = SimulatedBench(IPM, DRIVE, BenchSettings(block_size=30))
     t = np.arange(2000) * T
     wanted = (50 * np.stack((np.sin(20 * t), np.cos(20 * t) - 1), axis=-1)).astype(np.float32)
     bench.references.add(T0, T, *wanted.T.copy())
@@ -238,7 +238,7 @@ def test_blocks_follow_each_other_and_equal_the_drive_alone(map_of_ipm):
     assert len(blocks) == 50
     assert [block.first_sample for block in blocks] == list(range(0, 1500, 30))
     assert [block.stamp for block in blocks] == [T0 + k * 3 * MS for k in range(50)]
-    alone = Drive(build_machine(map_of_ipm, DRIVE), DRIVE).step_block(wanted[:1500].astype(float)).samples
+    alone = Drive(build_machine(IPM, DRIVE), DRIVE).step_block(wanted[:1500].astype(float)).samples
     np.testing.assert_array_equal(columns(blocks, "currents"), alone.i_abc.astype(np.float32))
     np.testing.assert_array_equal(columns(blocks, "voltages"), alone.u_abc.astype(np.float32))
     np.testing.assert_allclose(columns(blocks, "resolver")[:, 0], alone.angle, atol=3e-7)
@@ -246,8 +246,7 @@ def test_blocks_follow_each_other_and_equal_the_drive_alone(map_of_ipm):
     assert np.all((angle >= -np.pi) & (angle < np.pi))
 
 
-def test_it_catches_up_without_gaps_and_says_that_it_is_late(map_of_ipm):
-    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings())
+def test_it_catches_up_without_gaps_and_says_that_it_is_late(bench):
     bench.advance(T0)
     now, blocks = T0 + 3000 * MS, []
     blocks += bench.advance(now)
@@ -260,8 +259,8 @@ def test_it_catches_up_without_gaps_and_says_that_it_is_late(map_of_ipm):
     assert bench.health().level is Level.OK
 
 
-def test_speeds_can_change_meanwhile(map_of_ipm):
-    bench = SimulatedBench(map_of_ipm, dataclasses.replace(DRIVE, current_noise=0.0), BenchSettings())
+def test_speeds_can_change_meanwhile():
+    bench = SimulatedBench(IPM, dataclasses.replace(DRIVE, current_noise=0.0), BenchSettings())
     bench.advance(T0)
     bench.advance(T0 + 100 * MS)
     bench.set_speeds((800.0,), 0.1)
@@ -269,8 +268,7 @@ def test_speeds_can_change_meanwhile(map_of_ipm):
     np.testing.assert_allclose(rpm[[0, 500, 1000, 1999]], [500, 650, 800, 800], rtol=1e-6)
 
 
-def test_health_tells_of_references_that_could_not_be_followed(map_of_ipm):
-    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings())
+def test_health_tells_of_references_that_could_not_be_followed(bench):
     bench.advance(T0)
     assert bench.health().message == "Zero current: no references."
     bench.references.add(T0, T, values(np.nan), values(0))
@@ -295,8 +293,7 @@ def statuses(bench, *times):
     return found
 
 
-def test_the_status_tells_clock_session_and_reference_in_force(map_of_ipm):
-    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings())
+def test_the_status_tells_clock_session_and_reference_in_force(bench):
     bench.references.add(T0, T, *full(-20, 300), session=5)
     _, first, second, third = statuses(bench, T0, T0 + 10 * MS, T0 + 20 * MS, T0 + 30 * MS)
     assert (first.count, first.stamp, first.session, first.applied) == (0, T0 + 10 * MS, 5, 99)
@@ -305,9 +302,9 @@ def test_the_status_tells_clock_session_and_reference_in_force(map_of_ipm):
     assert first.speed == pytest.approx(500 * 4 * np.pi / 30)
 
 
-def test_the_clock_of_the_drive_can_be_wrong(map_of_ipm):
+def test_the_clock_of_the_drive_can_be_wrong():
     """Stamps and due times alike."""
-    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings(), FaultSettings(clock_offset=-5.0, clock_drift=0.5))
+    bench = SimulatedBench(IPM, DRIVE, BenchSettings(), FaultSettings(clock_offset=-5.0, clock_drift=0.5))
     bench.references.add(T0 - 5000 * MS + 10 * MS, T, *full(-20, 300), session=5)
     bench.advance(T0)
     blocks = bench.advance(T0 + 10 * MS)
@@ -315,8 +312,7 @@ def test_the_clock_of_the_drive_can_be_wrong(map_of_ipm):
     assert bench.references.last[0] == -20.0
 
 
-def test_a_restarted_drive_counts_from_0_and_stays_at_zero_current(map_of_ipm):
-    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings())
+def test_a_restarted_drive_counts_from_0_and_stays_at_zero_current(bench):
     bench.references.add(T0, T, *full(-20, 300), session=5)
     bench.advance(T0)
     assert bench.advance(T0 + 20 * MS)[-1].first_sample == 100
@@ -327,9 +323,9 @@ def test_a_restarted_drive_counts_from_0_and_stays_at_zero_current(map_of_ipm):
     assert bench.status().count == 0
 
 
-def test_a_drive_takes_the_angle_of_its_encoder_only_at_zero_current(map_of_ipm):
+def test_a_drive_takes_the_angle_of_its_encoder_only_at_zero_current():
     raw = dataclasses.replace(DRIVE, resolver_offset=0.7, angle_reversed=True)
-    wrong, right, plain = (SimulatedBench(map_of_ipm, drive, BenchSettings()) for drive in (raw, raw, DRIVE))
+    wrong, right, plain = (SimulatedBench(IPM, drive, BenchSettings()) for drive in (raw, raw, DRIVE))
     right.set_encoder(Encoder(encoder_offset=-0.7, encoder_direction=-1))
     angles = []
     for bench in (wrong, right, plain):
@@ -343,8 +339,7 @@ def test_a_drive_takes_the_angle_of_its_encoder_only_at_zero_current(map_of_ipm)
 
 
 @pytest.mark.parametrize("freeze", ["stamps", "samples"])
-def test_a_frozen_drive_repeats_itself(map_of_ipm, freeze):
-    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings())
+def test_a_frozen_drive_repeats_itself(bench, freeze):
     bench.advance(T0)
     last = bench.advance(T0 + 10 * MS)[-1]
     bench.faults = FaultSettings(freeze=freeze)
@@ -354,8 +349,8 @@ def test_a_frozen_drive_repeats_itself(map_of_ipm, freeze):
     assert {block.currents is last.currents for block in blocks} == {freeze == "samples"}
 
 
-def test_a_drive_trips_by_itself(map_of_ipm):
-    bench = SimulatedBench(map_of_ipm, DRIVE, BenchSettings(speed_limit=400.0))
+def test_a_drive_trips_by_itself():
+    bench = SimulatedBench(IPM, DRIVE, BenchSettings(speed_limit=400.0))
     _, status = statuses(bench, T0, T0 + 10 * MS)
     assert status.fault == "The speed exceeds 400 rpm."
     bench.faults = FaultSettings(trip=True)
@@ -393,7 +388,7 @@ def test_optional_signals_come_at_their_rates_without_a_gap():
         scalar_rate=1000.0,
         temperature_rate=40.0,
     )
-    bench = SimulatedBench(machine_map("ipm"), settings, BenchSettings(block_size=70))
+    bench = SimulatedBench(IPM, settings, BenchSettings(block_size=70))
     bench.advance(T0)
     blocks = [block for step in range(1, 40) for block in bench.advance(T0 + step * 13 * MS)]
     assert len(blocks) > 60
@@ -409,7 +404,7 @@ def test_optional_signals_come_at_their_rates_without_a_gap():
         assert number == -(-len(blocks) * 70 // round(period / T))
     voltages = [block.scalars["dc_link_voltage"].values[0] for block in blocks if block.scalars]
     assert set(np.concatenate(voltages)) == {400.0}
-    plain = SimulatedBench(machine_map("ipm"), SimulationSettings(), BenchSettings())
+    plain = SimulatedBench(IPM, SimulationSettings(), BenchSettings())
     plain.advance(T0)
     assert all(block.scalars == {} for block in plain.advance(T0 + 50 * MS))
 
@@ -418,7 +413,7 @@ def test_the_torque_is_that_of_the_mean_power():
     """Over whole turns at constant current, T times speed is the electrical power without the copper loss."""
     settings = SimulationSettings(log_scalars=("shaft_torque",), inverter="none")
     reference = np.tile([-60.0, 120.0], (6000, 1))
-    found = simulate(machine_map("ipm"), settings, reference)
+    found = simulate(IPM, settings, reference)
     samples, speed = found.samples, 500 / 60 * 2 * np.pi
     turns = slice(3600, 4800)  # one revolution
     i_mean = 0.5 * (samples.i_abc[turns] + samples.i_abc[turns.start + 1 : turns.stop + 1])
@@ -428,7 +423,7 @@ def test_the_torque_is_that_of_the_mean_power():
 
 
 def test_a_drive_that_knows_more_logs_what_it_knows():
-    machine = build_machine(machine_map("ipm"), SimulationSettings())
+    machine = build_machine(IPM, SimulationSettings())
     settings = SimulationSettings(log_scalars=SCALARS)
     course = np.recarray(2, COURSE)
     course.i_dq_machine[:], course.psi_dq[:] = [[-50.0, 100.0], [0.0, 200.0]], [[0.1, 0.05], [0.2, 0.1]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -20,23 +21,10 @@ from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import CHUNK, RegressionSums
 from drive_id.core.paper.rows import FLUX, sample_integrals
 from drive_id.core.paper.solver import solve
-from drive_id.types import Samples
 
 
 def tanh_drop(i_abc):
     return 4.0 * np.tanh(i_abc)
-
-
-def cut(samples, part, starts=(0,)):
-    return Samples(
-        samples.stamp[part],
-        samples.i_abc[part],
-        samples.u_abc[part],
-        samples.angle[part],
-        samples.speed[part],
-        samples.sample_period,
-        np.array(starts, np.int64),
-    )
 
 
 @pytest.fixture(scope="module")
@@ -106,16 +94,16 @@ def test_pieces_that_share_their_end_samples_add_up_to_the_whole(coarse, model, 
     whole.add(coarse)
     edges = [0, *sorted(pieces), len(coarse) - 1]
     for start, stop in pairwise(edges):
-        parts.add(cut(coarse, slice(start, stop + 1)))
+        parts.add(coarse.part(start, stop + 1))
     assert np.abs(whole.total - parts.total).max() <= 1e-12 * np.abs(whole.total).max()
     assert whole.rows == parts.rows
 
 
 def test_nothing_is_integrated_across_the_start_of_a_run(coarse, model):
     information, split = RegressionSums(model, TanhShape()), RegressionSums(model, TanhShape())
-    information.add(cut(coarse, slice(0, None), starts=(0, 700)))
-    split.add(cut(coarse, slice(0, 700)))
-    split.add(cut(coarse, slice(700, None)))
+    information.add(replace(coarse, run_starts=np.array([0, 700])))
+    split.add(coarse.part(0, 700))
+    split.add(coarse.part(700, len(coarse)))
     assert information.rows == split.rows == 2 * (len(coarse) - 2)
     assert np.abs(information.total - split.total).max() <= 1e-13 * np.abs(split.total).max()
 

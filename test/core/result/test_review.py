@@ -19,7 +19,7 @@ from drive_id.core.result import conclusion, warnings
 from drive_id.core.result.identify import identify, score
 from drive_id.core.result.warnings import condemned
 from drive_id.errors import ConfigurationError, DataError, UnexplainedError
-from drive_id.types import GroundTruth
+from drive_id.types import GroundTruth, Samples
 
 
 @pytest.fixture(scope="module")
@@ -200,10 +200,8 @@ def resting(samples, before):
     """Put a rest at zero current in front of a recording."""
     count = round(before / samples.sample_period)
     rest = record(lambda i: saturating_flux(i * 0), duration=before, i_max=1e-9, noise=0.1, seed=5)
-    names = ("i_abc", "u_abc", "angle", "speed")
-    joined = {name: np.concatenate([getattr(rest, name), getattr(samples, name)]) for name in names}
-    stamp = samples.stamp[0] + np.arange(-count, len(samples)) * round(samples.sample_period * 1e9)
-    return replace(samples, stamp=stamp, run_starts=np.array([0, count]), **joined)
+    stamp = samples.stamp[0] + np.arange(-count, 0) * round(samples.sample_period * 1e9)
+    return Samples.joined([replace(rest, stamp=stamp), samples])
 
 
 def test_a_rest_before_the_trajectory_changes_nothing(good):

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from numpy_oracles import dense_rows
-from synthetic import record
+from synthetic import record, tanh_drop
 
 from drive_id.core import frames
 from drive_id.core.maps.flux_models import Polynomial, TensorSpline
@@ -21,10 +21,6 @@ from drive_id.core.numerics.bspline import Axis
 from drive_id.core.paper.regression import CHUNK, RegressionSums
 from drive_id.core.paper.rows import FLUX, sample_integrals
 from drive_id.core.paper.solver import solve
-
-
-def tanh_drop(i_abc):
-    return 4.0 * np.tanh(i_abc)
 
 
 @pytest.fixture(scope="module")

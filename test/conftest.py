@@ -27,7 +27,7 @@ from drive_id.core.fit_settings import FitSettings
 from drive_id.core.planning import planner
 from drive_id.files.write.writer import write_recording
 from drive_id.fitting.fit import fit_bags
-from drive_id.fitting.simulated import run_experiment
+from drive_id.fitting.simulated import run_experiment, simulate_bag
 from drive_id.fitting.sources import Sources
 
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # under nohup, the nodes that are hung up on would rightly go on
@@ -178,6 +178,14 @@ def bag(simulation, tmp_path_factory):
     """Its recording; read only."""
     path = tmp_path_factory.mktemp("recorded") / "bag"
     write_recording(path, simulation.samples, simulation.truth)
+    return path
+
+
+@pytest.fixture(scope="session")
+def other_bag(tmp_path_factory):
+    """A shorter recording of the same drive; read only."""
+    path = tmp_path_factory.mktemp("recorded") / "other"
+    simulate_bag(machine_map("ipm"), SimulationSettings(current_noise=1e-3, seed=1), path, TRAJECTORY, 0.71)
     return path
 
 

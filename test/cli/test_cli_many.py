@@ -7,29 +7,18 @@ from pathlib import Path
 
 import pytest
 import test_cli
-from drive_bags import TRAJECTORY, with_arrays
+from drive_bags import with_arrays
 from test_cli import JOINT, assert_one_sentence, tree
 
-from drive_id.bench.machines import machine_map
-from drive_id.bench.settings import SimulationSettings
 from drive_id.files.write.writer import write_recording
-from drive_id.fitting.simulated import simulate_bag
 
 
-@pytest.fixture(scope="module")
-def other(tmp_path_factory):
-    """A second recording of the same drive; read only."""
-    path = tmp_path_factory.mktemp("recorded") / "other"
-    simulate_bag(machine_map("ipm"), SimulationSettings(current_noise=1e-3, seed=1), path, TRAJECTORY, 1.0)
-    return path
-
-
-def test_accumulated_files_are_fitted_like_their_bags(run, bag, other):
+def test_accumulated_files_are_fitted_like_their_bags(run, bag, other_bag):
     ran = run("accumulate", bag, "--output", "one.info", *JOINT)
     assert (ran.code, ran.out, ran.err) == (0, "one.info: 20000 samples, disc of 300 A.\n", "")
-    assert run("accumulate", other, "--i-max", 300, "--output", "below/two.info", "-q", *JOINT).out == ""
+    assert run("accumulate", other_bag, "--i-max", 300, "--output", "below/two.info", "-q", *JOINT).out == ""
     results = []
-    for sources in (["one.info", "below/two.info"], [bag, other], ["one.info", other]):
+    for sources in (["one.info", "below/two.info"], [bag, other_bag], ["one.info", other_bag]):
         ran = run("fit", *sources, "--i-max", 300, "--output", "out", "--json", *JOINT)
         assert ran.code == 0, ran.err
         results.append(json.loads(ran.out))
@@ -88,9 +77,9 @@ def test_bad_input_is_told_in_one_sentence_and_leaves_nothing(run, bag, simulati
     assert tree(tmp_path) == before
 
 
-def test_bad_bags_are_left_out_on_request(run, bag, other, tmp_path):
+def test_bad_bags_are_left_out_on_request(run, bag, other_bag, tmp_path):
     (tmp_path / "bad.mcap").write_text("no bag")
-    ran = run("fit", bag, tmp_path / "bad.mcap", other, "--output", "out", "--skip-bad", *JOINT)
+    ran = run("fit", bag, tmp_path / "bad.mcap", other_bag, "--output", "out", "--skip-bad", *JOINT)
     assert ran.code == 0
     assert f"Warning: Left out: {tmp_path / 'bad.mcap'} is neither" in ran.out
     warnings = json.loads(Path("out/identification.json").read_text())["warnings"]
@@ -98,9 +87,9 @@ def test_bad_bags_are_left_out_on_request(run, bag, other, tmp_path):
 
 
 @pytest.mark.process
-def test_several_processes(run, bag, other, tmp_path):
+def test_several_processes(run, bag, other_bag, tmp_path):
     """The way the workers are started by the command itself."""
-    fit = ("fit", bag, other, "--i-max", 300, "--output", tmp_path / "out", "--json", *JOINT)
+    fit = ("fit", bag, other_bag, "--i-max", 300, "--output", tmp_path / "out", "--json", *JOINT)
     alone = run(*fit)
     ran = test_cli.script(*fit, "--workers", "2", cwd=tmp_path)
     assert (ran.returncode, ran.stderr) == (0, "")

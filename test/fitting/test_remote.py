@@ -8,38 +8,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drive_bags import TRAJECTORY
 
 import drive_id
-from drive_id.bench.machines import machine_map
-from drive_id.bench.settings import SimulationSettings
 from drive_id.cli.options import beside
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import ConfigurationError, NotABagError
 from drive_id.files.inputs.remote import url_of
 from drive_id.fitting.fit import accumulate_bags
-from drive_id.fitting.simulated import simulate_bag
 from drive_id.fitting.sources import Sources, accumulate_sources
 
 JOINT = FitSettings(method="joint")
 
 
-@pytest.fixture(scope="module")
-def other(tmp_path_factory):
-    path = tmp_path_factory.mktemp("remote") / "other"
-    simulate_bag(machine_map("ipm"), SimulationSettings(current_noise=1e-3, seed=7), path, TRAJECTORY, 0.71)
-    return path
-
-
 @pytest.fixture
-def store(bag, other, tmp_path, monkeypatch):
+def store(bag, other_bag, tmp_path, monkeypatch):
     """A storage in memory with a folder, a single file, an information file and what is none of them."""
     fsspec = pytest.importorskip("fsspec", reason="the extra remote is not installed")
     system = fsspec.filesystem("memory")
     system.put(str(bag), "/store/bag", recursive=True)
-    system.put(str(next(other.glob("*.mcap"))), "/store/other.mcap")
+    system.put(str(next(other_bag.glob("*.mcap"))), "/store/other.mcap")
     system.pipe("/store/notes.mcap", b"no bag")
-    accumulate_bags(Sources([other]), tmp_path / "x.info", FitSettings(method="joint", i_max=300.0))
+    accumulate_bags(Sources([other_bag]), tmp_path / "x.info", FitSettings(method="joint", i_max=300.0))
     system.put(str(tmp_path / "x.info"), "/store/x.info")
     copies = tmp_path / "copies"
     copies.mkdir()
@@ -56,8 +45,8 @@ def test_a_url_survives_being_a_path():
         assert not url_of(Path(path))
 
 
-def test_what_is_fetched_is_accumulated_like_what_is_here(store, bag, other):
-    here = accumulate_sources(Sources([bag, other]), JOINT)
+def test_what_is_fetched_is_accumulated_like_what_is_here(store, bag, other_bag):
+    here = accumulate_sources(Sources([bag, other_bag]), JOINT)
     urls = Sources([Path(f"{store}/bag"), Path(f"{store}/other.mcap")])
     with ThreadPoolExecutor(2) as executor:
         for sources in (urls, Sources(urls.paths, executor=executor)):
@@ -68,12 +57,12 @@ def test_what_is_fetched_is_accumulated_like_what_is_here(store, bag, other):
     assert all(file.startswith(f"{store}/") for file in found.digests)
 
 
-def test_a_fit_takes_urls_and_information_files_there(store, bag, other, tmp_path):
+def test_a_fit_takes_urls_and_information_files_there(store, bag, other_bag, tmp_path):
     urls = [f"{store}/bag", f"{store}/x.info"]
     for _ in range(2):  # the same recordings may be fitted again
         found = drive_id.fit(urls, output=tmp_path / "out")
     assert found.method == "joint"  # of the information file
-    assert found.resistance == drive_id.fit([bag, other], method="joint", i_max=300.0, skip_bad=True).resistance
+    assert found.resistance == drive_id.fit([bag, other_bag], method="joint", i_max=300.0, skip_bad=True).resistance
 
 
 def test_what_is_wrong_there_is_named_by_its_url(store):

@@ -15,6 +15,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from drive_bags import TRAJECTORY
+from same_bits import assert_same_bits
 from test_cli import JOINT, assert_one_sentence
 
 from drive_id.bench.machines import machine_map
@@ -129,14 +130,6 @@ def _address(file):
     with distributed.Client(scheduler_file=str(file), set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
         return client.scheduler.address
-
-
-def assert_same_bits(one, other):
-    states = [accumulated.evidence.state() for accumulated in (one, other)]
-    assert set(states[0]) == set(states[1])
-    for name, array in states[0].items():
-        np.testing.assert_array_equal(array, states[1][name], err_msg=name)
-    assert one.digests == other.digests
 
 
 @pytest.mark.process

@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drive_bags import TRAJECTORY, with_arrays
+from same_bits import assert_same_bits
 
 import drive_id
 from drive_id.bench.machines import machine_map
@@ -223,17 +224,6 @@ def test_pairs_are_those_of_a_tree_and_few_are_kept(count):
 def test_paths_may_be_relative(bags, together, monkeypatch):
     monkeypatch.chdir(bags[0].parent)
     assert_same_fit(fit_bags(Sources([Path(bag.name) for bag in bags], skip_bad=True), None, RADIUS), together)
-
-
-def assert_same_bits(one, other) -> None:
-    states = [accumulated.evidence.state() for accumulated in (one, other)]
-    assert set(states[0]) == set(states[1])
-    for name, array in states[0].items():
-        np.testing.assert_array_equal(array, states[1][name], err_msg=name)
-    for name in ("warnings", "digests", "samples", "last_stamp"):
-        assert getattr(one, name) == getattr(other, name), name
-    for first, second in zip(one.validation, other.validation, strict=True):
-        np.testing.assert_array_equal(first.i_abc, second.i_abc)
 
 
 @pytest.mark.process

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from same_bits import assert_same_bits
 
 import drive_id
 from drive_id.common.messages import Message
@@ -84,12 +85,7 @@ def test_what_goes_in_comes_out(accumulated, tmp_path):
     assert stored.software == drive_id.__version__
     assert found.evidence.settings == accumulated.evidence.settings
     assert not found.evidence.difference(accumulated.evidence)
-    state, before = found.evidence.state(), accumulated.evidence.state()
-    assert set(state) == set(before)
-    for name, array in before.items():
-        np.testing.assert_array_equal(state[name], array, err_msg=name)
-    for name in ("warnings", "digests", "samples", "last_stamp"):
-        assert getattr(found, name) == getattr(accumulated, name), name
+    assert_same_bits(found, accumulated)
     assert found.truth.machine == "ipm"
     np.testing.assert_array_equal(found.truth.psi_d, accumulated.truth.psi_d)
     (piece,), (samples,) = found.validation, accumulated.validation

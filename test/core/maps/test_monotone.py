@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from scipy.optimize import isotonic_regression
+from steady_state import disc_points
 
 from drive_id.core.maps.monotone import fit_monotone
 from drive_id.core.maps.support import Support
@@ -42,11 +43,6 @@ class Machine:
         return saturated + self.leakage * i + np.array([self.magnet, 0.0])
 
 
-def disc(rng, radius, count):
-    angle, r = rng.uniform(0, 2 * np.pi, count), radius * np.sqrt(rng.uniform(0, 1, count))
-    return np.column_stack([r * np.cos(angle), r * np.sin(angle)])
-
-
 def rms(x):
     return float(np.sqrt(np.mean(np.sum(x**2, axis=-1))))
 
@@ -71,14 +67,14 @@ def test_any_machine_gives_a_monotone_map_close_to_the_truth(seed):
     rng = np.random.default_rng(seed)
     rated = 10 ** rng.uniform(0, 2.7)
     machine = Machine.random(rng, rated)
-    i = disc(rng, rated, (40, 150, 400, 2000)[seed])
+    i = disc_points(rng, rated, (40, 150, 400, 2000)[seed])
     truth = machine.psi(i)
     noise = 0.01 * rms(truth - truth.mean(axis=0))
     found = fit_monotone(
         i, truth + noise * rng.standard_normal(truth.shape) / np.sqrt(2), cells=(None, None, 14, 12)[seed]
     )
     assert_monotone(found, rng)
-    elsewhere = disc(rng, rated, 2000)
+    elsewhere = disc_points(rng, rated, 2000)
     elsewhere = elsewhere[found.inside(elsewhere)]
     assert rms(found.psi(elsewhere) - machine.psi(elsewhere)) < (3.0, 1.0, 0.5, 0.4)[seed] * noise
 
@@ -86,7 +82,7 @@ def test_any_machine_gives_a_monotone_map_close_to_the_truth(seed):
 def test_data_of_a_convex_spline_come_back_exactly():
     rng = np.random.default_rng(5)
     machine = Machine.random(rng, 80.0)
-    truth = fit_monotone(i := disc(rng, 80.0, 500), machine.psi(i), smoothness=1e-6, cells=10)
+    truth = fit_monotone(i := disc_points(rng, 80.0, 500), machine.psi(i), smoothness=1e-6, cells=10)
     found = fit_monotone(i, truth.psi(i), smoothness=1e-11, cells=10)
     assert not found.convexity.active
     np.testing.assert_allclose(found.psi(i), truth.psi(i), atol=1e-4 * np.abs(truth.psi(i)).max())
@@ -95,7 +91,7 @@ def test_data_of_a_convex_spline_come_back_exactly():
 def test_the_slopes_of_the_flux_are_the_inductances():
     rng = np.random.default_rng(6)
     machine = Machine.random(rng, 5.0)
-    found = fit_monotone(i := disc(rng, 5.0, 60), machine.psi(i), smoothness=1e-5)
+    found = fit_monotone(i := disc_points(rng, 5.0, 60), machine.psi(i), smoothness=1e-5)
     at, step = rng.uniform(found.low + 0.1, found.high - 0.1, (7, 3, 2)), 1e-4
     for axis, way in enumerate(step * np.eye(2)):
         slope = (found.psi(at + way) - found.psi(at - way)) / (2 * step)
@@ -121,7 +117,7 @@ def test_a_folded_map_becomes_the_nearest_monotone_one():
 def test_noise_on_a_saturated_machine_is_kept_from_folding_the_map():
     rng = np.random.default_rng(8)
     machine = Machine(0.3, 1e-4, 0.2, 0.3, np.array([0.5, 0.0]), np.array([0.0, 0.4]))
-    i = disc(rng, 20.0, 400)
+    i = disc_points(rng, 20.0, 400)
     psi = machine.psi(i) + 0.02 * rng.standard_normal(i.shape)
     found = fit_monotone(i, psi, smoothness=1e-8, cells=12)
     assert found.convexity.active
@@ -135,7 +131,7 @@ def test_noise_on_a_saturated_machine_is_kept_from_folding_the_map():
 def test_beyond_the_data_slopes_do_not_rise_and_the_flux_stays_near(noise):
     rng = np.random.default_rng(9)
     machine, radius = Machine.random(rng, 45.0), 45.0
-    i = disc(rng, radius, 500)
+    i = disc_points(rng, radius, 500)
     scale = rms(machine.psi(i) - machine.psi(i).mean(axis=0))
     found = fit_monotone(i, machine.psi(i) + noise * scale * rng.standard_normal(i.shape), cells=14)
     angle = np.linspace(0, 2 * np.pi, 37)[:-1]
@@ -155,7 +151,7 @@ def test_beyond_the_data_slopes_do_not_rise_and_the_flux_stays_near(noise):
 def test_uncertain_points_count_less():
     rng = np.random.default_rng(11)
     machine = Machine.random(rng, 10.0)
-    i = disc(rng, 10.0, 300)
+    i = disc_points(rng, 10.0, 300)
     psi, sigma = machine.psi(i), np.full(i.shape, 1e-3)
     wrong = rng.permutation(300)[:30]
     psi[wrong], sigma[wrong] = psi[wrong] + 0.3, 1.0
@@ -167,7 +163,7 @@ def test_uncertain_points_count_less():
 
 def test_units_do_not_matter():
     rng = np.random.default_rng(12)
-    i = disc(rng, 1.0, 50)
+    i = disc_points(rng, 1.0, 50)
     psi = Machine.random(rng, 1.0).psi(i)
     found, scaled = fit_monotone(i, psi), fit_monotone(1e3 * i, 1e-3 * psi)
     np.testing.assert_allclose(scaled.psi(1e3 * i), 1e-3 * found.psi(i), rtol=1e-6, atol=1e-12)
@@ -175,7 +171,7 @@ def test_units_do_not_matter():
     assert scaled.convexity.least_inductance == pytest.approx(1e-6 * found.convexity.least_inductance, rel=1e-4)
 
 
-GOOD = disc(np.random.default_rng(13), 10.0, 30)
+GOOD = disc_points(np.random.default_rng(13), 10.0, 30)
 
 
 @pytest.mark.parametrize(
@@ -206,7 +202,7 @@ def test_options_out_of_range_are_refused(option):
 
 def test_holes_and_the_outside_of_the_hull_are_no_support():
     rng = np.random.default_rng(14)
-    i = disc(rng, 10.0, 2000)
+    i = disc_points(rng, 10.0, 2000)
     support = Support.of(np.vstack([i[np.hypot(*(i - [3, 2]).T) > 2], i[:5]]))
     assert support.contains(np.array([[-3.0, -2.0], [0, 0], [7.0, 6.0]])).tolist() == [True, True, True]
     assert support.contains(np.array([[3.0, 2.0], [8.0, 8.0]])).tolist() == [False, False]

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 from steady_state import LinearDrive, disc_points, telemetry
+from synthetic import every
 from typer.testing import CliRunner
 
 import drive_id
@@ -34,11 +35,14 @@ def data():
     return telemetry(LinearDrive(), disc_points(rng, 100, 9, least=0.2), speed, rng=rng)
 
 
+def _rows(data):
+    return np.column_stack([data.time, data.i_dq, data.u_dq, data.speed / 4 * 30 / np.pi])
+
+
 @pytest.fixture(scope="module")
 def log(data, tmp_path_factory):
     path = tmp_path_factory.mktemp("slow") / "log.csv"
-    columns = np.column_stack([data.time, data.i_dq, data.u_dq, data.speed / 4 * 30 / np.pi])
-    np.savetxt(path, columns, delimiter=",", header="t,i_d,i_q,u_d,u_q,n", comments="", fmt="%.15g")
+    np.savetxt(path, _rows(data), delimiter=",", header="t,i_d,i_q,u_d,u_q,n", comments="", fmt="%.15g")
     path.with_name("signals.yaml").write_text(SIGNALS, encoding="utf-8")
     return path
 
@@ -100,18 +104,9 @@ def test_what_does_not_fit_together_is_refused(data, log, tmp_path):
 
 
 def test_slow_phase_quantities_are_refused():
-    made = drive_id.simulate("spm", 0.5, speed=2000.0).part(0, 5000)
-    kept = np.arange(len(made)) % 20 == 0
-    begins = np.zeros(len(made), bool)
-    begins[0] = True
-    slow = made.chosen(kept, begins)
-    object.__setattr__(slow, "sample_period", 20 * made.sample_period)
+    slow = every(drive_id.simulate("spm", 0.5, speed=2000.0), 20)
     with pytest.raises(SamplePeriodError, match="log currents and voltages in d and q"):
         drive_id.fit(slow, method="static")
-
-
-def _rows(data):
-    return np.column_stack([data.time, data.i_dq, data.u_dq, data.speed / 4 * 30 / np.pi])
 
 
 def _frames(rows):

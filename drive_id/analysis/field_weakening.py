@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from drive_id.analysis.bands import combined
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.operation import Operation, changes
-from drive_id.types import BoolArray, FloatArray
+from drive_id.types import TINY, BoolArray, FloatArray
 
 _LINES = 121  # candidates of i_d, both signs
 _ROWS = 61  # candidates of i_q, one sign
@@ -189,7 +189,7 @@ def sigma_envelope(model: MachineModel, limits: DriveLimits, points: Operation) 
         return np.full(len(points.torque), np.nan)
     by_t, by_u, by_i = _gradients(model, limits, points.i_dq, points.speed)
     at_current, at_voltage = limits.active(points)
-    alone = np.sum(by_t * by_u, axis=-1) / np.maximum(np.sum(by_u**2, axis=-1), np.finfo(np.float64).tiny)
+    alone = np.sum(by_t * by_u, axis=-1) / np.maximum(np.sum(by_u**2, axis=-1), TINY)
     cross = by_u[..., 0] * by_i[..., 1] - by_u[..., 1] * by_i[..., 0]
     both = by_t[..., 0] * by_i[..., 1] - by_t[..., 1] * by_i[..., 0]
     both = np.divide(both, cross, out=alone.copy(), where=np.abs(cross) > 0)

@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.analysis.bands import combined
 from drive_id.analysis.machine import MachineModel
-from drive_id.types import BoolArray, FloatArray
+from drive_id.types import TINY, BoolArray, FloatArray
 
 _ANGLES = 181  # candidates per half turn
 _ZOOMS = 14  # rounds of search, each with half the step: down to 1e-6 rad
@@ -203,11 +203,10 @@ def _torque_by_flux(model: MachineModel, i_max: float) -> Callable[[FloatArray],
     flux, torque = np.hypot(*model.psi_dq(i_d, i_q))[known], model.torque(i_d, i_q)[known]
     order = np.argsort(flux)
     flux, torque = flux[order], np.maximum.accumulate(torque[order])
-    least = float(np.finfo(np.float64).tiny)
 
     def most(limit: FloatArray) -> FloatArray:
         at = np.searchsorted(flux, limit, side="right") - 1
-        return np.where(at >= 0, np.maximum(torque[np.maximum(at, 0)], least), least)
+        return np.where(at >= 0, np.maximum(torque[np.maximum(at, 0)], TINY), TINY)
 
     return most
 

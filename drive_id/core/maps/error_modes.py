@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drive_id.core.maps.flux_models import BasisRows
 from drive_id.core.numerics.threads import one_blas_thread
-from drive_id.types import BoolArray, FloatArray, IntArray
+from drive_id.types import TINY, BoolArray, FloatArray, IntArray
 
 MOST_MODES = 48  # that a result keeps
 _LARGEST = 2**23  # values of all modes of both fluxes; fine grids get fewer modes
@@ -154,7 +154,7 @@ def _causes(samples: FloatArray, most: int) -> FloatArray:
     wide = samples.shape[1] > samples.shape[0]
     squares, vectors = np.linalg.eigh(samples @ samples.T if wide else samples.T @ samples)
     squares, vectors = np.maximum(squares[::-1], 0.0), vectors[:, ::-1]
-    total = max(float(squares.sum()), np.finfo(np.float64).tiny)
+    total = max(float(squares.sum()), TINY)
     count = min(most, int(np.searchsorted(np.cumsum(squares), _HELD * total)) + 1, int((squares > 0).sum()))
     vectors = vectors[:, :count]
     return np.asarray(samples.T @ (vectors / np.sqrt(squares[:count])) if wide else vectors)

@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.paper.rows import FLUX, RESISTANCE, VOLTAGE, VOLTAGE_ERROR
 from drive_id.core.paper.solver import Solution
-from drive_id.types import FloatArray
+from drive_id.types import TINY, FloatArray
 
 _TOLERATED = np.array([0.05, 0.03, np.log(1.65)])
 """Differences of psi_d, psi_q and of the logarithm of R that one drive may have besides the errors.
@@ -74,8 +74,7 @@ def differences(recordings: Sequence[FloatArray], solution: Solution) -> Differe
 def _currents(recordings: Sequence[FloatArray]) -> FloatArray:
     """Return the rms currents (K,), by that of the first: the inverter's shape is nearly 1 at all but small ones."""
     energy = np.array([[own[:, k, k].sum() for k in (RESISTANCE, VOLTAGE_ERROR)] for own in recordings])
-    tiny = np.finfo(np.float64).tiny
-    rms: FloatArray = np.maximum(np.sqrt(energy[:, 0] / np.maximum(energy[:, 1], tiny)), tiny)
+    rms: FloatArray = np.maximum(np.sqrt(energy[:, 0] / np.maximum(energy[:, 1], TINY)), TINY)
     return np.asarray(rms / rms[0])
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.paper.rows import FLUX, RESISTANCE, VOLTAGE, VOLTAGE_ERROR
-from drive_id.types import FloatArray, IntArray
+from drive_id.types import TINY, FloatArray, IntArray
 
 RANK_TOLERANCE = 1e-6
 """Singular values of the column-scaled rows below this share of the largest count as zero."""
@@ -73,7 +73,7 @@ def _whitening(normal: FloatArray) -> tuple[FloatArray, float]:
     norm = np.sqrt(np.diag(normal))
     inverse = np.divide(1.0, norm, out=np.zeros_like(norm), where=norm > 0)
     eigenvalues, vectors = np.linalg.eigh(normal * inverse[:, None] * inverse)
-    kept = eigenvalues > RANK_TOLERANCE**2 * max(eigenvalues[-1], np.finfo(np.float64).tiny)
+    kept = eigenvalues > RANK_TOLERANCE**2 * max(eigenvalues[-1], TINY)
     eigenvalues, vectors = eigenvalues[kept], vectors[:, kept]
     condition = float(np.sqrt(eigenvalues[-1] / eigenvalues[0])) if len(eigenvalues) else float("inf")
     return inverse[:, None] * vectors / np.sqrt(eigenvalues), condition

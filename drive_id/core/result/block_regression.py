@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drive_id.types import FloatArray
+from drive_id.types import TINY, FloatArray
 
 SIGNIFICANT = 30.0
 """Wald statistic of a harmonic, of two degrees of freedom, from which on it is reported."""
@@ -29,7 +29,7 @@ def grouped(blocks: list[FloatArray], wanted: int) -> list[FloatArray]:
 def _solved(total: FloatArray, response: int, columns: list[int]) -> tuple[FloatArray, FloatArray]:
     """Return the coefficients (K,) of columns of any scale, of products (C, C), and the pseudo-inverse (K, K)."""
     matrix = total[np.ix_(columns, columns)]
-    scale = np.sqrt(np.maximum(np.diag(matrix), np.finfo(np.float64).tiny))
+    scale = np.sqrt(np.maximum(np.diag(matrix), TINY))
     inverse = np.linalg.pinv(matrix / scale / scale[:, None], hermitian=True) / scale / scale[:, None]
     return inverse @ total[columns, response], np.asarray(inverse)
 
@@ -107,7 +107,7 @@ class BlockRegression:
         k = self.columns.index(column)
         both = self.coefficients[k : k + 2]
         amplitude = float(np.hypot(*both))
-        direction = both / max(amplitude, np.finfo(np.float64).tiny)
+        direction = both / max(amplitude, TINY)
         return amplitude, float(np.sqrt(direction @ self.covariance[k : k + 2, k : k + 2] @ direction))
 
     def scatter(self, column: int) -> float:

@@ -22,7 +22,7 @@ from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.numerics.threads import one_blas_thread
 from drive_id.core.result.block_regression import SIGNIFICANT, BlockRegression, is_one
 from drive_id.core.result.identification import Cogging, IdentifiedDrive, Mechanics
-from drive_id.types import FloatArray, Samples
+from drive_id.types import TINY, FloatArray, Samples
 
 _Flux = Callable[[FloatArray, FloatArray], FloatArray]
 """Flux psi_dq (N, 2), Wb, over currents (N, 2), A, and angles (N,), rad."""
@@ -144,7 +144,7 @@ def _fitted(
     cosines = min(max(int(_SWEEP * len(data) / _BELLS), _FEWEST), _MOST)
     solution = BlockRegression.of_series(data, _TORQUE, columns, cosines, of_map, block=_BELLS)
     energy = solution.total[_TORQUE, _TORQUE]
-    explained = 1.0 - solution.rms(solution.coefficients, 1.0) ** 2 / max(energy, np.finfo(np.float64).tiny)
+    explained = 1.0 - solution.rms(solution.coefficients, 1.0) ** 2 / max(energy, TINY)
     coefficient, sigma = solution.estimate(_INERTIA)
     if explained < (_EXPLAINED if orders else _HELD) or coefficient < _TOLD * sigma:
         return None

@@ -346,7 +346,7 @@ class MachineModel:
         from drive_id.core.maps.monotone import REACH, fit_monotone  # noqa: PLC0415  # only the inverse needs it
 
         found, grid = self.flux_map, self.flux_map.grid()
-        points, psi = grid[found.inside], np.stack([found.psi_d, found.psi_q], axis=-1)[found.inside]
+        points, psi = grid[found.inside], found.psi[found.inside]
         reach = 1 + float(np.abs(grid).max() / np.hypot(points[:, 0], points[:, 1]).max())
         whole = fit_monotone(points, psi, reach=max(REACH, reach), margin=_LEAST_SLOPE)
         i_d, i_q = found.i_d, found.i_q

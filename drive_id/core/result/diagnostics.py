@@ -154,7 +154,7 @@ def _compared(
     except DataError as error:
         return ComparedMethod(method, failure=str(error))
     nrmse_d, nrmse_q = score(found, truth) if truth else (math.nan, math.nan)
-    psi = np.stack([found.flux_map.psi_d, found.flux_map.psi_q], axis=-1)
+    psi = found.flux_map.psi
     own = (drive.flux_map.i_d, drive.flux_map.i_q)
     if not all(map(np.array_equal, own, (found.flux_map.i_d, found.flux_map.i_q))):  # of excerpts only
         psi = found.flux_map.continued(drive.flux_map.grid())

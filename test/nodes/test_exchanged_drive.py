@@ -46,10 +46,10 @@ def test_a_drive_that_restarts_is_told_of_by_all_who_listen(ros, tmp_path):
     ros.wait(lambda: samples("/recorder", "samples") > 3000, "recorded samples")
     assert ros.set_parameters("/bench_simulator", restarts=1).successful
     ros.wait(lambda: "come from two drives" in said["/identification"]["message"], "the news of the restart")
-    reply = ros.call(Identify, "/identification/identify")
+    reply = ros.identify()
     assert (reply.success, reply.code) == (False, Identify.Response.CODE_DRIVE_CHANGED)
     assert "Ask for the part 'before'" in reply.message
-    after = ros.call(Identify, "/identification/identify", part=Identify.Request.PART_AFTER)
+    after = ros.identify(part=Identify.Request.PART_AFTER)
     assert after.code != Identify.Response.CODE_DRIVE_CHANGED
     stopped = ros.call(StopRecording, "/recorder/stop")
     assert stopped.success

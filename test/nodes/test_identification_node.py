@@ -94,17 +94,11 @@ def player(ros, node):  # noqa: ARG001  # which it plays to
     player.close()
 
 
-def identify(ros, *bags, name="/identification/identify", **request):
-    from drive_id_msgs.srv import Identify
-
-    return ros.call(Identify, name, bags=list(bags), **request)
-
-
 def identify_all(ros, samples, node="/identification"):
     """Ask for live samples when so many have arrived on each topic."""
     with Diagnosis(ros, node) as diagnosis:
         diagnosis.wait(lambda *_: min(map(diagnosis.samples, TOPICS)) >= samples, f"{samples} live samples")
-    reply = identify(ros, name=f"{node}/identify")
+    reply = ros.identify(node=node)
     assert reply.report.samples_read >= samples
     return reply
 
@@ -155,7 +149,7 @@ def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulati
     assert not [warning for warning in live.report.warnings if "dropped" in warning]
     offline = fit_bags(Sources([bag]), None, FitSettings("joint", i_max=I_MAX))
     assert_close(live, offline.drive)
-    recorded = identify(ros, "bag")
+    recorded = ros.identify("bag")
     assert (recorded.success, recorded.code) == (True, "ok"), recorded.message
     assert_close(recorded, offline.drive)
     assert recorded.report.mad_d == pytest.approx(offline.drive.report.mad_d, rel=1e-9)
@@ -176,7 +170,7 @@ def test_live_samples_give_what_the_bag_of_them_gives(ros, player, bag, simulati
 def test_the_method_of_a_request(ros, player, bag):
     player.play(messages_of(bag))
     identify_all(ros, 20_000)
-    live, recorded = identify(ros, method="psm"), identify(ros, "bag", method="psm")
+    live, recorded = ros.identify(method="psm"), ros.identify("bag", method="psm")
     assert live.flux_map.method == recorded.flux_map.method == "psm"
     assert live.flux_map.resistance == pytest.approx(recorded.flux_map.resistance, rel=1e-9)
     assert live.flux_map.voltage_error == 0
@@ -190,19 +184,19 @@ def test_a_request_names_the_machine_and_its_recording(ros, player, bag):
 
     names = {"machine": "motor A", "serial": "17", "bench": "B 2", "operator": "A. N. Other", "notes": "cold"}
     request = {NAMES[name]: text for name, text in names.items()}
-    for reply in (identify(ros, **request), identify(ros, "bag", **request)):
+    for reply in (ros.identify(**request), ros.identify("bag", **request)):
         assert reply.flux_map.machine == "motor A"
         known = load(reply.output).provenance
         assert known.machine == "motor A"
         assert {name: getattr(known.settings, name) for name in names} == names
-    unnamed = identify(ros)
+    unnamed = ros.identify()
     assert (unnamed.flux_map.machine, load(unnamed.output).provenance.settings.serial) == ("", "")
 
 
 def test_method_full_needs_what_only_it_gathers(ros, player, bag):
     player.play(messages_of(bag))
     identify_all(ros, 20_000)
-    live = identify(ros, method="full")
+    live = ros.identify(method="full")
     assert (live.success, live.code) == (False, "configuration")
     assert "accumulated for method joint" in live.message
 
@@ -210,14 +204,13 @@ def test_method_full_needs_what_only_it_gathers(ros, player, bag):
 def test_pictures_are_drawn_for_whom_wants_them(ros, bag):
     folders = {"data_directory": str(bag.parent), "output_directory": str(ros.folder / "drawn")}
     node = ros.host(MODULE, parameters=folders | {"method": "psm", "picture": True}, namespace="/drawing")
-    reply = identify(ros, bag.name, name="/drawing/identification/identify")
+    reply = ros.identify(bag.name, node="/drawing/identification")
     assert {path.name for path in Path(reply.output).glob("*.png")} == {"flux_map.png", "diagnostics.png"}
     node.end()
 
 
 def test_a_node_of_defaults_fits_by_method_full_and_serves_the_others(ros, bag, fitted_in_full):
     node = "/desk/identification"
-    name = f"{node}/identify"
     folders = {"data_directory": str(bag.parent), "output_directory": str(ros.folder / "desk")}
     process = ros.host(MODULE, parameters=folders | {"i_max": I_MAX}, namespace="/desk")
     player = Player(ros, namespace="/desk")
@@ -230,7 +223,7 @@ def test_a_node_of_defaults_fits_by_method_full_and_serves_the_others(ros, bag, 
     assert (Path(live.output) / "harmonics.npz").exists()
     assert len(live.flux_map.harmonic_orders) > 0
     for method in ("joint", "psm"):
-        assert identify(ros, method=method, name=name).flux_map.method == method
+        assert ros.identify(method=method, node=node).flux_map.method == method
     player.close()
     process.end()
 
@@ -258,13 +251,13 @@ def test_bad_requests_are_answered_and_the_node_goes_on(ros):
         ([], "", "empty_topic"),
     ]
     for bags, method, code in cases:
-        reply = identify(ros, *bags, method=method)
+        reply = ros.identify(*bags, method=method)
         assert (reply.success, reply.code) == (False, code), (bags, method, reply.message)
         assert reply.message.endswith((".", "?"))
         assert "\n" not in reply.message
         assert len(reply.flux_map.psi_d) == 0
         assert reply.output == ""
-    assert identify(ros, "bag").success
+    assert ros.identify("bag").success
 
 
 class Diagnosis:
@@ -307,7 +300,7 @@ def test_only_currents_so_far(ros, player, bag):
     player.play([message for message in messages_of(bag) if message[0] == TOPICS[0]])
     with Diagnosis(ros) as diagnosis:
         diagnosis.wait(lambda _, values: values["/phase_currents: samples"] == "20000", "all currents")
-    reply = identify(ros)
+    reply = ros.identify()
     assert reply.code == "empty_topic"
     assert "/phase_voltages" in reply.message
 
@@ -327,7 +320,7 @@ def test_a_late_joiner_gets_the_map_and_its_points(ros):
 
     from drive_id.nodes.support.qos import LATCHED
 
-    reply = identify(ros, "bag")
+    reply = ros.identify("bag")
     got, clouds = [], []
     subscriptions = [
         ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED),
@@ -477,14 +470,14 @@ def test_settings_of_the_fit_can_change_and_nonsense_is_refused(ros, player, bag
     player.play(messages_of(bag))
     identify_all(ros, 20_000)
     assert set_parameter("method", "psm").successful
-    reply = identify(ros)
+    reply = ros.identify()
     assert (reply.success, reply.flux_map.method, reply.report.samples_read) == (True, "psm", 20_000)
     assert set_parameter("method", "joint").successful
     nonsense = {"i_max": -1.0, "splines_d": 2, "data_directory": "/"}
     for name, value in (("method", "best"), ("method", "static"), *nonsense.items()):
         assert not set_parameter(name, value).successful, name
     assert set_parameter("splines_d", 9).successful
-    assert identify(ros).code == "empty_topic"  # the samples are forgotten
+    assert ros.identify().code == "empty_topic"  # the samples are forgotten
     assert set_parameter("splines_d", 8).successful
     value = ros.call(GetParameters, "/identification/get_parameters", names=["i_max"]).values[0]
     assert value.double_value == I_MAX
@@ -505,7 +498,7 @@ def test_a_fit_does_not_hold_up_the_end(ros, bag):
     with Diagnosis(ros, "/other/identification") as diagnosis:
         diagnosis.wait(lambda status, _: "Solving" in status.message, "the solver")
         assert diagnosis.status.message.startswith("Solving. ")  # without a percentage
-    assert identify(ros, name="/other/identification/identify").code == "busy"
+    assert ros.identify(node="/other/identification").code == "busy"
     assert not future.done()
     assert process.interrupt()[0] == 0, process.output
     assert not results.exists()  # nobody waited for the fit

@@ -71,12 +71,6 @@ def client(ros, node):  # noqa: ARG001  # whose client it is
         yield client
 
 
-def identify(ros, *bags, method=""):
-    from drive_id_msgs.srv import Identify
-
-    return ros.call(Identify, NAME, bags=list(bags), method=method)
-
-
 def folders(ros):
     results = ros.folder / "results"
     return {path.name for path in results.iterdir() if not path.name.startswith(".last")}
@@ -105,7 +99,7 @@ def test_a_bad_goal_is_aborted_with_the_code_of_the_service(ros, client):
     for bags, method, code in ((("missing",), "full", "not_a_bag"), (("bag",), "best", "configuration")):
         status, result = sent(ros, client, *bags, method=method).wait()
         assert (status, result.success, result.code) == (ABORTED, False, code)
-        assert result.message == identify(ros, *bags, method=method).message
+        assert result.message == ros.identify(*bags, method=method).message
 
 
 def test_a_cancelled_fit_frees_the_node_soon(ros, client):
@@ -117,17 +111,17 @@ def test_a_cancelled_fit_frees_the_node_soon(ros, client):
         ros.wait(goal.handle.cancel_goal_async().done, "the answer to cancel")
         status, result = goal.wait()
         assert (status, result.success, result.code) == (CANCELED, False, "cancelled")
-        assert identify(ros, "missing").code == "not_a_bag"  # not busy
+        assert ros.identify("missing").code == "not_a_bag"  # not busy
         assert time.monotonic() - start < SOON
     assert folders(ros) == before  # nothing is left behind, and nothing comes later
-    assert identify(ros, "bag", method="psm").success
+    assert ros.identify("bag", method="psm").success
 
 
 def test_one_goal_waits_and_more_are_busy(ros, client):
     first, second, third = sent(ros, client, *LONG), *(sent(ros, client, "bag", method="psm") for _ in range(2))
     status, result = third.wait()
     assert (status, result.success, result.code) == (ABORTED, False, "busy")
-    assert identify(ros, "bag").code == "busy"
+    assert ros.identify("bag").code == "busy"
     second.wait_for("Waiting")
     first.handle.cancel_goal_async()
     assert first.wait()[0] == CANCELED
@@ -155,7 +149,7 @@ def test_a_client_that_vanishes_leaves_nothing_behind(ros, node):
     stranger.destroy_node()
     context.try_shutdown()
     start = time.monotonic()
-    ros.wait(lambda: identify(ros, "missing").code == "not_a_bag", "a free node")
+    ros.wait(lambda: ros.identify("missing").code == "not_a_bag", "a free node")
     assert time.monotonic() - start < SOON + 8.0
     ros.wait(lambda: "the request was cancelled" in node.output, "a word on it")
     assert folders(ros) == before
@@ -167,10 +161,10 @@ def test_the_quota_and_the_last_map_after_a_restart(ros, node, parameters):
 
     from drive_id.nodes.support.qos import LATCHED
 
-    replies = [identify(ros, "bag", method=method) for method in ("psm", "joint", "psm", "joint")]
+    replies = [ros.identify("bag", method=method) for method in ("psm", "joint", "psm", "joint")]
     assert len(folders(ros)) == 3
     assert all(Path(reply.output).exists() == (number > 0) for number, reply in enumerate(replies))
-    assert identify(ros, "missing").code == "not_a_bag"  # an error leaves the last good map
+    assert ros.identify("missing").code == "not_a_bag"  # an error leaves the last good map
     node.vanish()
     got = []
     subscription = ros.node.create_subscription(FluxMap, "/flux_map", got.append, LATCHED)
@@ -184,6 +178,6 @@ def test_the_quota_and_the_last_map_after_a_restart(ros, node, parameters):
     assert list(got[0].warnings) == list(last.warnings)
     assert (got[0].coverage, got[0].i_max) == (last.coverage, last.i_max)
     ros.wait(lambda: "Published again" in again.output, "a word on it")
-    reply = identify(ros, "bag", method="full")
+    reply = ros.identify("bag", method="full")
     assert (reply.success, reply.code) == (False, "time_limit")
     assert "time_limit, 0.01 s" in reply.message

@@ -31,7 +31,7 @@ BLOCK = 10_001_000  # ns; a hundred samples at 10 kHz, and a bit for rounding
 def test_live_identification_equals_that_of_the_recording_made_beside_it(ros):
     from diagnostic_msgs.msg import DiagnosticArray
     from drive_id_msgs.msg import CurrentReference, Resolver
-    from drive_id_msgs.srv import Identify, StartRecording, StopRecording
+    from drive_id_msgs.srv import StartRecording, StopRecording
     from std_srvs.srv import Trigger
 
     data = ros.folder / "data"
@@ -95,8 +95,8 @@ def test_live_identification_equals_that_of_the_recording_made_beside_it(ros):
     np.testing.assert_array_equal(kept.winding_temperature, 20.0)
     assert kept.shaft_torque is None
     assert int(values["/identification"]["/dc_link_voltage: samples"]) >= samples // 10
-    live = ros.call(Identify, "/identification/identify")
-    recorded = ros.call(Identify, "/identification/identify", bags=[uri])
+    live = ros.identify()
+    recorded = ros.identify(uri)
     assert live.success, live.message
     assert recorded.success, recorded.message
     assert live.report.samples_read == recorded.report.samples_read == samples > SECONDS * 1e4

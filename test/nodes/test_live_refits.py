@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from test_identification_node import I_MAX, MODULE, Diagnosis, Player, identify, messages_of
+from test_identification_node import I_MAX, MODULE, Diagnosis, Player, messages_of
 
 
 def start(ros, namespace, **parameters):
@@ -36,7 +36,7 @@ def test_the_map_is_there_before_anybody_asks_and_stops_with_the_samples(ros, ba
         last = diagnosis.values
     assert int(last["fit: samples"]) > 15_000
     assert 0.5 < float(last["fit: coverage"]) <= 1.0
-    reply = identify(ros, name=f"{node}/identify")
+    reply = ros.identify(node=node)
     assert reply.success, reply.message
     assert reply.report.samples_read == 20_000
     assert reply.flux_map.method == "joint"

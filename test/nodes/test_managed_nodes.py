@@ -19,12 +19,6 @@ def ros():
         yield bench
 
 
-def identify(ros):
-    from drive_id_msgs.srv import Identify
-
-    return ros.call(Identify, "/identification/identify")
-
-
 def settings(ros, **further):
     return {"data_directory": str(ros.folder), "output_directory": str(ros.folder / "out"), **further}
 
@@ -34,27 +28,27 @@ def test_the_lifecycle_of_identification(ros):
     ros.host("drive_id.nodes.identification", parameters=given)
     change, bench = partial(ros.change_state, "/identification"), Bench(ros)
     heard = bench.publishers[TOPICS[0].name].get_subscription_count
-    assert (reply := identify(ros)).code == "inactive"
+    assert (reply := ros.identify()).code == "inactive"
     assert "The node is unconfigured: configure and activate it" in reply.message
     assert not change("activate")
     assert change("configure")
     ros.wait(heard, "a subscription")
     bench.publish(10)
-    assert (reply := identify(ros)).code == "inactive"
+    assert (reply := ros.identify()).code == "inactive"
     assert "The node is inactive: activate it" in reply.message
     assert change("activate")
-    assert "No sample" in identify(ros).message  # what came before is none of its
+    assert "No sample" in ros.identify().message  # what came before is none of its
     bench.publish(30)
-    ros.wait(lambda: identify(ros).report.samples_read >= 3000, "the samples of the active node")
+    ros.wait(lambda: ros.identify().report.samples_read >= 3000, "the samples of the active node")
     assert change("deactivate")
-    assert identify(ros).code == "inactive"
+    assert ros.identify().code == "inactive"
     assert change("cleanup")
     ros.wait(lambda: not heard(), "no subscription")
     assert change("configure")
     assert change("activate")
-    assert "No sample" in identify(ros).message
+    assert "No sample" in ros.identify().message
     assert change("shutdown")
-    assert (reply := identify(ros)).code == "inactive"
+    assert (reply := ros.identify()).code == "inactive"
     assert "The node was shut down and stays so: start its process again." in reply.message
 
 

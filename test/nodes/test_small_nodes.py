@@ -54,8 +54,6 @@ def test_a_node_at_rest_is_small_and_soon_ready(ros, name):
 
 @pytest.mark.process
 def test_fits_of_bags_leave_no_memory_behind(ros, bag, monkeypatch):
-    from drive_id_msgs.srv import Identify
-
     monkeypatch.setitem(ros.environment, "MALLOC_ARENA_MAX", "1")  # glibc keeps up to 40 MB of free memory per thread
     data = ros.folder / "data"
     data.mkdir()
@@ -64,7 +62,7 @@ def test_fits_of_bags_leave_no_memory_behind(ros, bag, monkeypatch):
     process = ready(ros, "identification", parameters=folders, namespace="/again")
     after = []
     for _ in range(FITS):
-        reply = ros.call(Identify, "/again/identification/identify", bags=["bag"])
+        reply = ros.identify("bag", node="/again/identification")
         assert reply.success, reply.message
         after.append(memory(process))
     assert max(after) < AFTER_FITS, after

@@ -284,6 +284,12 @@ class RosBench:
         self.wait(future.done, f"reply of {name}", timeout)
         return future.result()
 
+    def identify(self, *bags, node="/identification", **request):
+        """Ask a node, by its full name, for the map of bags, or of live samples, and return its response."""
+        from drive_id_msgs.srv import Identify
+
+        return self.call(Identify, f"{node}/identify", bags=list(bags), **request)
+
     def set_parameters(self, node, **values):
         """Set parameters of a node, by its full name, together and return what it says to it."""
         from rcl_interfaces.srv import SetParametersAtomically

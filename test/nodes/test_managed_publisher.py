@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -107,8 +106,7 @@ class Managed:
         assert all(b.first_sample == a.first_sample + len(a.d) for a, b in pairwise(self.blocks))
 
     def rest(self):
-        until = time.monotonic() + 0.3
-        self.ros.wait(lambda: time.monotonic() > until, "a while")
+        self.ros.spin(0.3)
 
     def close(self):
         self.ros.node.destroy_subscription(self.subscription)
@@ -209,8 +207,7 @@ def test_a_single_press_and_a_single_release_of_the_emergency_stop_are_heard(ros
         publisher = ros.node.create_publisher(Bool, "/emergency_stop", 10)
         ros.wait(lambda: publisher.get_subscription_count() >= 2, "the subscriptions")
         publisher.publish(Bool(data=pressed))
-        until = time.monotonic() + 0.1
-        ros.wait(lambda: time.monotonic() > until, "the end")
+        ros.spin(0.1)
         ros.node.destroy_publisher(publisher)
 
     ros.wait(lambda: "Nothing has arrived" not in managed.ask("clear_fault").message, "the drive")

@@ -27,11 +27,6 @@ def drive(shared):
     shared.call("stop_experiment")
 
 
-def wait(ros, seconds):
-    until = time.monotonic() + seconds
-    ros.wait(lambda: time.monotonic() > until, "a while")
-
-
 def test_a_start_beyond_the_limit_of_the_drive_is_refused(drive):
     drive.status["current_limit"] = 40.0
     drive.refuses("limit", "i_max is 50 A, above the current_limit of the drive, 40 A.")
@@ -89,7 +84,7 @@ def test_of_two_emergency_stops_each_trips_and_none_releases_the_other(drive, bu
         drive.runs()
         one.pressed = True
         drive.trips(f"The emergency stop ({one.publisher.topic_name}) is pressed.")
-        wait(drive.ros, 0.3)  # the other one says false meanwhile
+        drive.ros.spin(0.3)  # the other one says false meanwhile
         drive.asks("clear_fault", lambda reply: reply.code == "fault", "an end of the run")
         assert drive.call("clear_fault").message.endswith(f"({one.publisher.topic_name}) is pressed.")
         one.pressed = False
@@ -103,12 +98,12 @@ def test_of_two_on_one_topic_a_press_counts_and_a_release_only_of_the_last_one(d
     other.pressed = True
     drive.trips("The emergency stop (/emergency_stop) is pressed")
     other.fall_silent()
-    wait(drive.ros, 0.3)
+    drive.ros.spin(0.3)
     why = "a release by one of the 2 nodes that publish it does not count"
     drive.asks("clear_fault", lambda reply: reply.code == "fault", "an end of the run")
     assert why in drive.call("clear_fault").message
     button.fall_silent()
-    wait(drive.ros, 0.3)  # a release that is under way would count after the other one has left
+    drive.ros.spin(0.3)  # a release that is under way would count after the other one has left
     other.leave()
     drive.asks("clear_fault", lambda reply: reply.message.endswith("is pressed."), "the end of the other one")
     button.timer.reset()

@@ -232,6 +232,11 @@ class RosBench:
             self.executor.spin_once(timeout_sec=0.02)
         return value
 
+    def spin(self, seconds):
+        """Let the nodes of this process go on for so long."""
+        until = time.monotonic() + seconds
+        self.wait(lambda: time.monotonic() > until, "a while")
+
     def outputs(self):
         hosted = [f"--- {node.name}\n{node.output}" for node in self.hosted]
         return "\n".join([*hosted, *(f"--- {process.log.name}\n{process.output}" for process in self.processes)])

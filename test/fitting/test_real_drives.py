@@ -52,6 +52,12 @@ def fitted(*recordings, **settings):
     return identify(list(recordings), FitSettings(harmonic_orders=(6, 12), search_orders=False, **settings))
 
 
+def measured(machine, trajectory=None, seconds=SECONDS, **settings):
+    """Return the truth and the fit of a recording with settings other than the good ones."""
+    simulation = run_experiment(machine, replace(GOOD, **settings), trajectory, seconds)
+    return simulation.truth, fitted(simulation.samples)
+
+
 def lopsided(share):
     """Return the truth of a drop that is larger by a share for positive, and smaller for negative current."""
     return lambda truths: (
@@ -200,11 +206,10 @@ def test_the_angle_of_a_tracking_loop_lags_where_the_speed_swings():
 
 def test_every_fifth_sample_delays_by_less_than_half_a_sample():
     """By -(n - 1) / 2n; about half a sample, the voltage after an end would predict the noise there, and win."""
-    simulation = run_experiment(IPM, replace(GOOD, log_decimation=5), None, 2 * SECONDS)
-    found = fitted(simulation.samples)
+    truth, found = measured(IPM, seconds=2 * SECONDS, log_decimation=5)
     (delay,) = (entry for entry in found.calibrations if entry.applied and entry.name == "voltage_delay")
     assert delay.value == pytest.approx(-0.4, abs=0.02)
-    assert 100 * max(score(found, simulation.truth)) < 2 * FLUX
+    assert 100 * max(score(found, truth)) < 2 * FLUX
     assert "decimated" in {warning.code for warning in found.report.warnings}
 
 
@@ -217,19 +222,15 @@ def sensors(found):
 
 def test_two_current_sensors_of_unequal_gain_turn_the_currents():
     """i_a (1 + e), i_b (1 - e) and -i_a - i_b are i (1 + j e / sqrt 3) + (2 e / 3) (1 - e^{4 pi j / 3}) conj(i)."""
-    settings = replace(GOOD, **BOTH_WAYS, two_current_sensors=True, current_gain=(1.005, 0.995, 1.0))
-    simulation = run_experiment(IPM, settings, seconds=SECONDS)
-    found = fitted(simulation.samples)
+    truth, found = measured(IPM, **BOTH_WAYS, two_current_sensors=True, current_gain=(1.005, 0.995, 1.0))
     rotation, mismatch = sensors(found)
     assert rotation == pytest.approx(0.005 / np.sqrt(3), rel=0.15)
     assert abs(mismatch - 0.01 / 3 * (1 - np.exp(4j * np.pi / 3))) < 2e-4
-    assert 100 * max(score(found, simulation.truth)) < 2 * FLUX, (
-        "the drop near the shifted zero crossings is known to first order"
-    )
+    assert 100 * max(score(found, truth)) < 2 * FLUX, "the drop near the shifted zero crossings is known to first order"
     assert found.resistance == pytest.approx(IPM.resistance, abs=2 * found.sigma_resistance)
     assert found.report.warnings == ()
     assert not any(entry.name.startswith(("resistance_", "voltage_gain")) for entry in found.calibrations)
-    of_two = np.sqrt(2.0) * np.sqrt(2 / 3 * 2 / np.pi) * GOOD.current_noise * simulation.truth.i_max
+    of_two = np.sqrt(2.0) * np.sqrt(2 / 3 * 2 / np.pi) * GOOD.current_noise * truth.i_max
     assert max(found.report.mad_d, found.report.mad_q) < DEVIATION * of_two, "the simulation's currents are corrected"
 
 
@@ -364,14 +365,12 @@ def test_a_dc_link_whose_log_decides_the_scale_is_warned_of():
 
 @pytest.mark.parametrize(("share", "frequency"), [(0.02, 299.1), (0.005, 2.3)])
 def test_a_periodic_dc_link_that_was_not_recorded_is_corrected(share, frequency):
-    settings = replace(GOOD, speeds=(500.0, -900.0), u_dc_ripple=share, u_dc_ripple_frequency=frequency)
-    simulation = run_experiment(IPM, settings, seconds=SECONDS)
-    found = fitted(simulation.samples)
+    truth, found = measured(IPM, **BOTH_WAYS, u_dc_ripple=share, u_dc_ripple_frequency=frequency)
     (ripple,) = (entry for entry in found.calibrations if entry.name == "link_ripple")
     assert ripple.value == pytest.approx(share, rel=0.15)
     assert ripple.message.values["frequency"] == pytest.approx(frequency, abs=0.1)
     assert not {warning.code for warning in found.report.warnings} & {"misfit", "not_reciprocal"}
-    assert max(score(found, simulation.truth)) < 1e-3
+    assert max(score(found, truth)) < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -424,21 +423,18 @@ def test_noise_of_the_log_of_a_constant_link_is_told_from_a_link_that_varies():
 def test_a_ripple_that_heat_hides_is_found():
     """Its frequency shows in the residuals only when the heat is in the model."""
     heat = {"copper_heat_capacity": 30.0, "magnet_heat_capacity": 75.0}
-    settings = replace(GOOD, speeds=(150.0,), u_dc_ripple=0.015, u_dc_ripple_frequency=300.0, **heat)
-    simulation = run_experiment(machine_map("spm"), settings, seconds=SECONDS)
-    found = fitted(simulation.samples)
+    ripple = {"u_dc_ripple": 0.015, "u_dc_ripple_frequency": 300.0}
+    truth, found = measured(machine_map("spm"), speeds=(150.0,), **ripple, **heat)
     names = {entry.name for entry in found.calibrations if entry.applied}
     assert names >= {"resistance_rise", "magnet_flux_change", "link_ripple"}
     assert not names & {"flux_lag", "current_latency"}
     assert found.report.warnings == ()
-    assert max(score(found, simulation.truth)) < 1e-3
+    assert max(score(found, truth)) < 1e-3
 
 
 def test_an_eccentric_rotor_is_named_where_pole_pairs_are_not_known():
     """The misfit was said to be of a ripple of the DC link."""
-    settings = replace(GOOD, **BOTH_WAYS, eccentricity=(0.005,))
-    simulation = run_experiment(IPM, settings, FAST, SECONDS)
-    found = fitted(simulation.samples)
+    _, found = measured(IPM, FAST, **BOTH_WAYS, eccentricity=(0.005,))
     (told,) = (warning for warning in found.report.warnings if warning.code == "misfit")
     assert "eccentric rotor" in str(told)
 
@@ -447,14 +443,12 @@ def test_a_winding_that_settles_within_the_recording_is_found_with_its_time_cons
     """R rises by 12 %. As if no heat were given off, R was 1.8 % off, or the record was refused as one with a slip."""
     machine, constant = machine_map("pmsyrm"), 2.5
     settled = 1.5 * machine.resistance * machine.i_max**2 * constant / (0.12 / 0.00393)
-    settings = replace(GOOD, copper_heat_capacity=settled, copper_time_constant=constant)
-    simulation = run_experiment(machine, settings, seconds=SECONDS)
-    found = fitted(simulation.samples)
+    truth, found = measured(machine, copper_heat_capacity=settled, copper_time_constant=constant)
     (rise,) = (entry for entry in found.calibrations if entry.name == "resistance_rise")
     assert rise.message.values["constant"] == pytest.approx(constant, rel=0.25)
     assert found.resistance == pytest.approx(machine.resistance, rel=0.005)
     assert found.report.warnings == ()
-    assert 100 * max(score(found, simulation.truth)) < FLUX
+    assert 100 * max(score(found, truth)) < FLUX
 
 
 def test_a_winding_that_settles_in_a_stator_that_warms_is_found_with_both():
@@ -473,11 +467,9 @@ def test_a_winding_that_settles_in_a_stator_that_warms_is_found_with_both():
 
 def test_a_hard_dead_time_is_kept_out_of_the_map_and_said():
     """4 us at 10 kHz is a step of 4 % of the DC link, at which the currents stay for a while when they reach zero."""
-    settings = replace(GOOD, speeds=(700.0,), inverter="switching", dead_time=4e-6, output_capacitance=0.0)
-    simulation = run_experiment(machine_map("spm"), settings, seconds=SECONDS)
-    found = fitted(simulation.samples)
-    assert 100 * max(score(found, simulation.truth)) < 0.15
-    truth = simulation.truth
+    switching = {"inverter": "switching", "dead_time": 4e-6, "output_capacitance": 0.0}
+    truth, found = measured(machine_map("spm"), speeds=(700.0,), **switching)
+    assert 100 * max(score(found, truth)) < 0.15
     large = truth.inverter_current > 0.5 * truth.i_max
     slope = np.polyfit(truth.inverter_current[large], truth.inverter_voltage[large], 1)[0]
     assert found.resistance == pytest.approx(truth.resistance + slope, abs=3 * found.sigma_resistance)
@@ -492,10 +484,8 @@ def test_a_wide_inverter_curve_shares_its_uncertainty_with_the_resistance(law, w
 
     From one shape to the next, R may stand still: at 20 % from none to one, at 30 % from one to two.
     """
-    settings = replace(GOOD, inverter=law, inverter_current=width * IPM.i_max)
-    simulation = run_experiment(IPM, settings, seconds=SECONDS)
-    found = fitted(simulation.samples)
-    assert 100 * max(score(found, simulation.truth)) < FLUX
-    assert found.resistance == pytest.approx(simulation.truth.resistance, abs=2 * found.sigma_resistance)
+    truth, found = measured(IPM, inverter=law, inverter_current=width * IPM.i_max)
+    assert 100 * max(score(found, truth)) < FLUX
+    assert found.resistance == pytest.approx(truth.resistance, abs=2 * found.sigma_resistance)
     (told,) = found.report.warnings
     assert told.startswith("The inverter's drop is still nonlinear at large currents")

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from synthetic import record
+from synthetic import reciprocal_flux, record
 from test_live_evidence import feed
 
 from drive_id.core.fit_settings import FitSettings
@@ -22,10 +22,6 @@ from drive_id.types import silent
 JOINT = FitSettings("joint", i_max=300.0)
 FULL = FitSettings(i_max=300.0)
 SHARE = 0.25
-
-
-def reciprocal_flux(i_dq):
-    return np.stack([0.05 + 0.04 * np.tanh(i_dq[:, 0] / 200.0), 0.08 * np.tanh(i_dq[:, 1] / 150.0)], axis=1)
 
 
 class Clock:

@@ -6,10 +6,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from browser import driven
 
 from drive_id.common.messages import Message
 from drive_id.core.full.effects.effect import Calibration
 from drive_id.core.maps.flux_map import HarmonicMap
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """A headless Chromium."""
+    with driven() as browser:
+        yield browser
 
 
 @pytest.fixture(scope="session")

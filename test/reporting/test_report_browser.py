@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import check_quiet, driven, wait_for
+from browser import check_quiet, element, wait_for
 
 from drive_id.common.messages import Message
 from drive_id.reporting.page.report import report_files
@@ -25,12 +25,6 @@ for (let k = 0; k < text.length; k += 1) sum = (31 * sum + text.charCodeAt(k)) %
 return `${traces.length} ${sum}`;
 """
 """Number of traces, and a check sum of what they show."""
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with driven() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")
@@ -54,10 +48,6 @@ def opened(browser, path):
         wait_for(browser, "return document.documentElement.dataset.drawn === 'true'")
     yield browser
     check_quiet(browser)
-
-
-def element(browser, name):
-    return browser.find_element("id", name)
 
 
 def choose(browser, name, value):

@@ -46,6 +46,10 @@ def wait_for(browser, script, *arguments):
     )
 
 
+def element(browser, name):
+    return browser.find_element("id", name)
+
+
 def check_quiet(browser, allowed=("file:", "data:", "blob:")):
     """Check that nothing was complained of, and nothing loaded but from the allowed places."""
     complaints = [entry["message"] for entry in browser.get_log("browser") if entry["level"] == "SEVERE"]

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from browser import check_quiet, driven, wait_for
+from browser import check_quiet, element, wait_for
 
 from drive_id.live.live_view import LiveView
 from drive_id.reporting.web.archive import Archive
@@ -33,12 +33,6 @@ return pixels.filter((value, k) => k % 4 === 3 && value > 0).length / (canvas.wi
 """
 """Share of the pixels of the disc that are not clear."""
 NARROW = {"width": 400, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with driven() as browser:
-        yield browser
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +59,6 @@ def opened(browser, results):
     browser.get(results.page.as_uri())
     yield browser
     check_quiet(browser)
-
-
-def element(browser, name):
-    return browser.find_element("id", name)
 
 
 def tick(browser, *folders):

@@ -57,6 +57,13 @@ def table(drive):
     return header, np.stack(drive.flux_map.psi_dq(*grid))
 
 
+def within_14_amperes(drive):
+    """Return a result with data within this disc only."""
+    flux_map = drive.flux_map
+    inside = np.hypot(flux_map.i_d[:, None], flux_map.i_q) <= 14.0
+    return replace(drive, drive=replace(drive.drive, flux_map=replace(flux_map, inside=inside)))
+
+
 def hermite(axis, values, x):
     """Interpolate along the first axis with the slopes of parabolas: numpy's second-order differences."""
     return CubicHermiteSpline(axis, values, np.gradient(values, axis, axis=0, edge_order=2))(x)
@@ -80,11 +87,7 @@ def test_ten_thousand_points(tmp_path, options, accuracy):
 
 
 def test_beyond_the_axes_and_without_data(tmp_path):
-    drive = result()
-    m = drive.flux_map
-    inside = np.hypot(m.i_d[:, None], m.i_q) <= 14.0
-    drive = replace(drive, drive=replace(drive.drive, flux_map=replace(m, inside=inside)))
-    header, psi = table(drive)
+    header, psi = table(within_14_amperes(result()))
     points = [(40.0, 0.0), (-17.0, -14.5), (float("nan"), 0.0), (-2.0, 1.0), (-5.5, 3.0)]
     found = read(compiled(tmp_path, header, main=MAIN), points)
     assert found[:, 4].tolist() == [0, 0, 0, 1, 1]
@@ -95,11 +98,7 @@ def test_beyond_the_axes_and_without_data(tmp_path):
 
 def test_inside_there_is_a_number(tmp_path):
     """The bicubic functions take neighbours that may have no data."""
-    drive = result()
-    m = drive.flux_map
-    inside = np.hypot(m.i_d[:, None], m.i_q) <= 14.0
-    drive = replace(drive, drive=replace(drive.drive, flux_map=replace(m, inside=inside)))
-    header, _ = table(drive)
+    header, _ = table(within_14_amperes(result()))
     points = np.random.default_rng(4).uniform(-15, 15, (20_000, 2))
     found = read(compiled(tmp_path, header, main=MAIN), points)
     surrounded = found[:, 4] == 1
@@ -201,11 +200,7 @@ def test_inside_means_what_it_means_in_an_analysis(tmp_path):
 
 
 def test_gains_without_data_are_finite_and_without_a_resistance_they_need_none(tmp_path):
-    drive = result(resistance=np.nan)
-    m = drive.flux_map
-    inside = np.hypot(m.i_d[:, None], m.i_q) <= 14.0
-    drive = replace(drive, drive=replace(drive.drive, flux_map=replace(m, inside=inside)))
-    header, _ = table(drive)
+    header, _ = table(within_14_amperes(result(resistance=np.nan)))
     main = CONTROL.replace("drive_id_resistance(120.0)", "0.0")
     found = read(compiled(tmp_path, header, "-DDRIVE_ID_DOUBLE", main=main), [(-17.0, -14.5), (60.0, 0.0)])
     assert (found[:, :2] > 0).all()

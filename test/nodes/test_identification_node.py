@@ -28,7 +28,6 @@ I_MAX = 300.0
 @pytest.fixture(scope="module")
 def node(ros, bag):
     data = ros.folder / "data"
-    data.mkdir()
     shutil.copytree(bag, data / "bag")
     folders = {"data_directory": str(data), "output_directory": str(ros.folder / "results")}
     parameters = folders | {"i_max": I_MAX, "method": "joint"}

@@ -28,7 +28,6 @@ STAGES = ["Waiting", "Reading", "Accumulating", "Solving", "Writing"]
 @pytest.fixture(scope="module")
 def parameters(ros, bag, simulation):
     data = ros.folder / "data"
-    data.mkdir()
     shutil.copytree(bag, data / "bag")
     for number, name in enumerate(LONG):
         later = simulation.samples.stamp + number * 10**10

@@ -56,7 +56,6 @@ def test_a_node_at_rest_is_small_and_soon_ready(ros, name):
 def test_fits_of_bags_leave_no_memory_behind(ros, bag, monkeypatch):
     monkeypatch.setitem(ros.environment, "MALLOC_ARENA_MAX", "1")  # glibc keeps up to 40 MB of free memory per thread
     data = ros.folder / "data"
-    data.mkdir()
     shutil.copytree(bag, data / "bag")
     folders = {"data_directory": str(data), "output_directory": str(ros.folder / "results"), "i_max": 300.0}
     process = ready(ros, "identification", parameters=folders, namespace="/again")

@@ -160,9 +160,7 @@ def test_samples_are_not_mixed_with_paths_nor_with_options_for_bags(bag, simulat
 
 
 def test_warnings_of_a_recording_are_python_warnings(simulation, tmp_path):
-    keep = np.r_[0:8000, 8500:20000]
     cut = drive_id.Samples.joined([simulation.samples.part(0, 8000), simulation.samples.part(8500, 20000)])
-    assert len(cut) == len(keep)
     write_recording(tmp_path / "bag", cut)
     with pytest.warns(UserWarning, match="gap"):
         samples = drive_id.read_bag(tmp_path / "bag")

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import sparse
+from scipy.interpolate import BSpline
 
 from drive_id.core.maps.coenergy import PotentialSpline, SplineBasis
 from drive_id.types import FloatArray
@@ -133,19 +134,13 @@ class CoEnergyBasis:
 
     def _gram(self, order: int) -> FloatArray:
         """Return the integral over the axis of products of derivatives of this order."""
-        axis, matrix = self._axis, np.eye(self._axis.count)
-        for _ in range(order):
-            matrix = axis.derivative() @ matrix
-            axis = SplineBasis(axis.edges, axis.degree - 1)
+        axis = self._axis
         nodes, weights = np.polynomial.legendre.leggauss(_NODES)
         width = np.diff(axis.edges)
         x = (axis.edges[:-1, None] + width[:, None] * (nodes + 1) / 2).ravel()
         narrow = (width / width.max()) ** self.relief
         mass = (width[:, None] * narrow[:, None] * weights / 2).ravel()
-        first, values = axis.values(x)
-        dense = np.zeros((len(x), axis.count))
-        np.put_along_axis(dense, first[:, None] + np.arange(axis.degree + 1), values, axis=1)
-        at_nodes = dense @ matrix
+        at_nodes = BSpline(axis.knots, np.eye(axis.count), axis.degree)(x, order)
         return np.asarray(at_nodes.T @ (mass[:, None] * at_nodes))
 
 

@@ -48,10 +48,6 @@ def fields_in(template: str) -> list[tuple[str, str]]:
     return sum((fields_in(spec) for _, spec in fields), fields)
 
 
-def names_in(template: str) -> set[str]:
-    return {name for name, _ in fields_in(template)}
-
-
 def test_a_message_is_its_sentence_and_its_values():
     message = Message("resistance_vague", resistance=0.01, sigma_resistance=0.02)
     assert message == (
@@ -155,7 +151,7 @@ def test_every_key_in_the_code_is_in_the_catalogue():
 
 
 def test_clauses_and_nouns_are_used():
-    used = set[str]().union(*(names_in(text) for text in (*TEMPLATES.values(), *CATALOGUE["clause"].values())))
+    used = {name for text in (*TEMPLATES.values(), *CATALOGUE["clause"].values()) for name, _ in fields_in(text)}
     assert set(CATALOGUE["clause"]) - used == set()
     assert set(CATALOGUE) == {"error", "warning", "statement", "nothing", "advice", "clause", "noun"}
 

@@ -34,10 +34,6 @@ def errors(simulation, settings=FULL):
     return found, 100 * np.array(score(found, simulation.truth))
 
 
-def windows_of(samples):
-    return gather([samples], FULL).windows.finished()
-
-
 def calibration(found, name):
     (entry,) = (entry for entry in found.calibrations if entry.name == name)
     return entry
@@ -266,7 +262,8 @@ def test_how_far_noise_has_moved_a_delay_is_foreseen_from_its_products():
     machine = machine_map("spm")
     samples = run_experiment(machine, settings, seconds=4.0).samples
     noise = np.random.default_rng(1).normal(scale=settings.current_noise * machine.i_max, size=samples.i_abc.shape)
-    once, twice = (windows_of(each) for each in (samples, replace(samples, i_abc=samples.i_abc + noise)))
+    recordings = (samples, replace(samples, i_abc=samples.i_abc + noise))
+    once, twice = (gather([each], FULL).windows.finished() for each in recordings)
     choice = ModelSpec(reciprocal=True, orders=(), penalty=1e-3)
     solver = Solver.over(once)
     solution = solver.solve(choice)

@@ -225,15 +225,13 @@ def test_it_is_dark_on_request_and_by_the_system(opened):
     def background():
         return opened.execute_script("return getComputedStyle(document.body).backgroundColor")
 
-    def text_of_chart():
-        return opened.execute_script("return document.getElementById('chart-inverter').layout.font.color")
-
-    light, before = background(), text_of_chart()
-    assert brightness(light) > 200
+    text = "document.getElementById('chart-inverter').layout.font.color"
+    before = opened.execute_script(f"return {text}")
+    assert brightness(background()) > 200
     element(opened, "theme").click()
     assert brightness(background()) < 60
     assert element(opened, "theme").get_attribute("aria-pressed") == "true"
-    wait_for(opened, "return document.getElementById('chart-inverter').layout.font.color !== arguments[0]", before)
+    wait_for(opened, f"return {text} !== arguments[0]", before)
     opened.execute_cdp_cmd(
         "Emulation.setEmulatedMedia", {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
     )

@@ -57,10 +57,6 @@ def steady_voltage(drive, i_dq, speed, curve):
     return np.column_stack([u_d, u_q]) + mean_drop(i_dq, curve)
 
 
-def no_drop(i):
-    return np.zeros_like(i)
-
-
 def disc_points(rng, radius, count, first=0.0, last=2 * np.pi, least=0.0):
     r = radius * np.sqrt(rng.uniform(least**2, 1, count))
     angle = rng.uniform(first, last, count)
@@ -71,7 +67,7 @@ def telemetry(
     drive,
     i_dq,
     speed,
-    curve: Callable[[np.ndarray], np.ndarray] = no_drop,
+    curve: Callable[[np.ndarray], np.ndarray] = np.zeros_like,
     *,
     rng: np.random.Generator,
     samples: int = 10,

@@ -222,13 +222,10 @@ def test_powertrain():
     assert control["id_ref"].shape == (len(control["wbp"]), len(control["tbp"]))
     np.testing.assert_allclose(control["lambda_q"][N, M], flux(-5.0, 10.5)[1], atol=1e-9)
     np.testing.assert_allclose(torque(control["id_ref"][0], control["iq_ref"][0]), control["tbp"], atol=0.2)
-    with pytest.raises(ConfigurationError, match="--u-dc"):
-        content("powertrain-controller", drive=without_voltage())
-
-
-def without_voltage():
     drive = result()
-    return replace(drive, provenance=replace(drive.provenance, u_dc=None))
+    without_voltage = replace(drive, provenance=replace(drive.provenance, u_dc=None))
+    with pytest.raises(ConfigurationError, match="--u-dc"):
+        content("powertrain-controller", drive=without_voltage)
 
 
 def test_plecs():

@@ -53,12 +53,6 @@ def linear_machine():
     return MachineMap("linear", axis, axis, 0.06 + 1.5e-4 * i_d, 2.5e-4 * i_q, 1e-2, 4, 300.0, 400.0)
 
 
-def of_ipm():
-    """Return the truth of the ipm with noise after 5 s, what the default method finds, and its NRMSE in percent."""
-    simulation = run_experiment(IPM, NOISY, seconds=5.0)
-    return simulation.truth, *errors(simulation)
-
-
 def fit_of(name):
     """Return what the default method finds of a shipped machine, and its NRMSE in percent."""
     return errors(run_experiment(machine_map(name), replace(NOISY, current_noise=1e-3), seconds=3.0))
@@ -168,7 +162,8 @@ def test_never_worse_than_joint(machine, changes, trajectory):
 def test_what_a_compensating_drive_leaves_of_its_inverter_does_not_bend_the_map():
     found, full_errors = errors(run_experiment(IPM, replace(NOISY, inverter_compensation=True), seconds=5.0))
     assert any("compensates the inverter's drop" in sentence for sentence in found.statements)
-    truth, plain, plain_errors = of_ipm()
+    simulation = run_experiment(IPM, NOISY, seconds=5.0)
+    truth, (plain, plain_errors) = simulation.truth, errors(simulation)
     assert plain_errors.max() < 0.1
     assert plain.resistance == pytest.approx(truth.resistance, rel=0.01)
     true_drop = np.interp(plain.inverter_current, truth.inverter_current, truth.inverter_voltage)

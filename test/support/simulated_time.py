@@ -16,6 +16,9 @@ LAG = SECOND // 10
 """That a bench may be behind, and that references must be ahead, ns."""
 _STEP = SECOND // 50
 _PAUSE = SECOND // 500  # of real time, between two messages
+_PATIENCE = 2 * SECOND
+"""Of real time, after which the clock makes a step though it waits for a drive: a timer that missed the jump at which
+the clock came to stand would never be called, so that each would wait for the other."""
 
 
 class SimulatedTime:
@@ -28,7 +31,7 @@ class SimulatedTime:
         self.publisher = ros.node.create_publisher(Clock, "/clock", 10)
         self.now = 1_700_000_000 * SECOND
         self.stands = False
-        self._last = time.monotonic_ns()
+        self._last = self._moved = time.monotonic_ns()
         self._followed = []
         ros.meanwhile.append(self._tick)
 
@@ -78,8 +81,10 @@ class SimulatedTime:
         now = time.monotonic_ns()
         if now - self._last < _PAUSE:
             return
-        if not self.stands and all(self._is_ready(*drive) for drive in self._followed):
+        ready = now - self._moved > _PATIENCE or all(self._is_ready(*drive) for drive in self._followed)
+        if not self.stands and ready:
             self.now += min(now - self._last, _STEP)
+            self._moved = now
         self._last = now
         message = self.kind()
         message.clock.sec, message.clock.nanosec = divmod(self.now, SECOND)

@@ -17,7 +17,7 @@ from drive_id.core.full.model import RESISTANCE
 from drive_id.core.full.solver import LEAST_TOLD
 from drive_id.core.full.standard_errors import sigma as fitted_sigma
 from drive_id.core.full.window_sums import MOST_KEPT
-from drive_id.core.full.windows import SEARCHED, STRIDE, Windows
+from drive_id.core.full.windows import MOST_DELAY, SEARCHED, STRIDE, Windows
 from drive_id.core.maps.flux_models import jacobian
 from drive_id.types import FloatArray
 
@@ -156,6 +156,20 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
         )
         out += CATALOGUE[taken.name].report(reported)
     return _doubted_heat(out)
+
+
+def clock_refused(fit: FullFit) -> Message | None:
+    """Return that a clock runs so fast that the fit cannot follow: beyond the voltages that windows keep, or a jump."""
+    columns, kept = fit.selection.search.found.columns, fit.selection.search.sums.kept()
+    half, period = (
+        0.5 * float(np.ptp(columns.spans, axis=1).max()),
+        min(float(windows.period.min()) for windows in kept),
+    )
+    for entry in effect_entries(fit):
+        late = abs(entry.message.values.get("ppm", 0.0)) * 1e-6 * half / period + abs(fit.spec.delay)
+        if entry.message.code == "fast_clock" and (late > MOST_DELAY or fit.assessment.jump is not None):
+            return Message("fast_clock.far", **entry.message.values)
+    return None
 
 
 def _doubted_heat(entries: list[Calibration]) -> list[Calibration]:

@@ -14,6 +14,7 @@ from drive_id.core.full import calibration
 from drive_id.core.full.calibration import rotated
 from drive_id.core.full.effect_report import (
     OUTLYING,
+    clock_refused,
     effect_entries,
     misfit_found,
     not_reciprocal_warning,
@@ -70,8 +71,8 @@ class FullMethod:
     def conclude(self, evidence: Evidence, inside: BoolArray, earlier: EarlierFit | None = None) -> Estimate:
         """Fit, calibrate, and evaluate maps and curve.
 
-        Raises DataError when there are fewer windows than unknowns, or the delay of the voltages jumps within a
-        recording.
+        Raises DataError when there are fewer windows than unknowns, or the delay of the voltages jumps or drifts far
+        within a recording.
         """
         locked = _locked(evidence)
         if locked:
@@ -88,6 +89,8 @@ class FullMethod:
             information, evidence.settings, evidence.turn, evidence.current_variance, earlier,
             angle_variance=evidence.angle_variance, interpolation_variance=evidence.interpolation_variance,
         )  # fmt: skip
+        if (refused := clock_refused(fit)) is not None:
+            raise DataError(refused)
         if (jump := fit.assessment.jump) is not None:
             raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
         grid = evidence.visits.grid()

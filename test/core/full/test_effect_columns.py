@@ -31,12 +31,13 @@ OF_SAMPLING = {
     "flux_lag_1ms": 0.06, "current_latency": 0.03, "current_offset": 0.1, "current_offset, imaginary": 0.1,
     "late_magnet_heating": 0.03, "drop_by_link": 0.04, "link_rise": 0.06, "current_filters": 0.07,
     "current_filters, of b": 0.07, "device_sag": 0.03, "sampling_instant": 0.05,
+    "angle_clock": 0.04, "current_clock": 0.04,
 }  # fmt: skip
 """Relative error of a column; larger where half a sample of 0.1 ms counts: of a lag of 1 ms, and as the current of this
 drive is smooth between the samples, where that of a real drive has the ripple of the held voltage; and where coarse
 shapes stand for the slope of the drop, which is a large part of an offset's column; where the zero sequence of currents
-that are filtered is taken for that of a circle; and where heat and link have one
-value in a window, in which the power may change its sign."""
+that are filtered is taken for that of a circle; where heat and link have one
+value in a window, in which the power may change its sign; and where a clock does, in windows of 1 % of a recording."""
 OF_SECOND_ORDER = 0.1
 LARGE_LOSS = 1.2
 """Conductance of the iron, S."""
@@ -153,6 +154,11 @@ def turned_resolver(x, order, shift=0.0):
     return Drive(angle_error=lambda t: -x * np.cos(order * SPEED * t - shift))
 
 
+def read_at(t, x):
+    """Return when a signal was read whose stamps grow too fast by x, and are right in the middle."""
+    return t - x * (t - SECONDS / 2)
+
+
 def above_and_below_mean(i_s):
     """Return what is taken by a property of phase a above the mean, and of phase c below it."""
     return frames.space_vector(frames.phases(i_s) * [1.0, 0.0, -1.0])
@@ -266,6 +272,9 @@ CASES = {
     "coercivity": (0, lambda x: Drive(terminal=lambda t: plain_current(t) + x * voltage(t) / np.abs(voltage(t))), 1.0),
     "current_latency": (0, lambda x: Drive(measured=lambda t: plain_current(t - x)), 2e-5),
     "angle_latency": (0, lambda x: Drive(angle_error=lambda t: np.full_like(t, -x * SPEED)), 2e-5),
+    "voltage_clock": (0, lambda x: Drive(logged=lambda t, u_s: np.interp(read_at(t, x), t, u_s)), 5e-5),
+    "angle_clock": (0, lambda x: Drive(angle_error=lambda t: SPEED * (read_at(t, x) - t)), 1e-4),
+    "current_clock": (0, lambda x: Drive(measured=lambda t: plain_current(read_at(t, x))), 1e-4),
     "late_compensation": (0, late_compensation, 1e-5),
     "late_shape": (3, lambda x: late_compensation(x, (0, 0, 0, 0, 0, 0, -1, 1, 0, 0)), 1e-5),
     "reference_compensation": (0, compensated_by_references, 0.1),
@@ -476,6 +485,19 @@ def test_a_filter_is_known_beyond_the_first_order(estimate):
     plain = residual(cut(Drive().record()), estimate)
     found = replace(windows, effects=EffectColumns(MODEL, known, 1.0, np.nan, SPANS, None)(windows))
     assert np.linalg.norm(residual(found, known) - plain) < 0.01 * np.linalg.norm(residual(windows, estimate))
+
+
+@pytest.mark.parametrize("name", ["voltage_clock", "angle_clock", "current_clock"])
+def test_a_clock_is_known_beyond_the_first_order(estimate, name):
+    """Of two samples at either end of the recording."""
+    size, known = 8e-4, estimate.copy()
+    known[MODEL.effect(name).start], known[MODEL.effect("remainder")] = size, 1.0
+    windows = cut(CASES[name][1](size).record())
+    plain = residual(cut(Drive().record()), estimate)
+    found = replace(windows, effects=EffectColumns(MODEL, known, 1.0, np.nan, SPANS, None)(windows))
+    assert np.linalg.norm(residual(found, known) - plain) < OF_SAMPLING["angle_clock"] * np.linalg.norm(
+        residual(windows, estimate)
+    )
 
 
 @pytest.mark.parametrize(("name", "size"), [("iron_loss", LARGE_LOSS), ("angle_latency", 8e-4)])

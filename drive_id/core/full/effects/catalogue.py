@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from drive_id.core.full.effects.clocks import FastClock
 from drive_id.core.full.effects.effect import DriveEffect
 from drive_id.core.full.effects.heat import (
     CopperHeating,
@@ -57,6 +58,9 @@ CATALOGUE: dict[str, DriveEffect] = {
         CurrentLatency("current_latency"),
         Latency("angle_latency"),
         AngleTracking("angle_tracking"),
+        FastClock("voltage_clock", "voltages", 1.0, 0.0),
+        FastClock("angle_clock", "angle", 0.0, 1.0),
+        FastClock("current_clock", "currents", -1.0, -1.0),
         LateCompensation("late_compensation", "Wb"),
         LateShape("late_shape"),
         ReferenceCompensation("reference_compensation", "V"),

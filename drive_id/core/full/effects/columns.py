@@ -62,6 +62,7 @@ class EffectColumns:
         shift, error = self._shift(at), self._turned(at)
         for name, value in self._present():
             shift = shift + CATALOGUE[name].magnetizing(at, value)
+            remainder = remainder + CATALOGUE[name].beyond(at, value)
         if shift.any() or error.any():
             if windows.moved is not None and windows.righted is not None:
                 shift, error = shift - windows.moved, error - windows.righted
@@ -110,9 +111,18 @@ class EffectColumns:
         induced = (windows.held - float(self.estimate[RESISTANCE]) * i_s - frames.space_vector(fallen)) / turn
         part = getattr(windows, self.divided)
         tracking = float(np.sqrt(max(self._value("angle_tracking")[0], 0.0)))
+        begin, end = self._spans(windows)
+        elapsed = windows.time + 0.5 * (windows.duration - begin - end)
         return Ends(
-            windows, windows.measured, turn, induced, fallen, self.pole_pairs, part, self.steady or 0.0, tracking
-        )
+            windows, windows.measured, turn, induced, fallen, self.pole_pairs, part, self.steady or 0.0, tracking,
+            elapsed,
+        )  # fmt: skip
+
+    def _spans(self, windows: Windows) -> FloatArray:
+        """Return when the recording of each window begins and ends (2, N), s."""
+        return np.asarray(
+            self.spans[np.minimum(windows.recording, len(self.spans) - 1)].T
+        )  # of live data, some may be later
 
     def _at(self, windows: Windows) -> Linearized:
         ends, i_dq, through = self._ends(windows), _as_complex(windows.i_dq), self._jacobian(windows)
@@ -121,7 +131,7 @@ class EffectColumns:
         half = 0.5 * (windows.turned[:, 1] - windows.turned[:, 0])
         turning = unit * ends.turn[:, 0] * np.exp(1j * half) * np.sinc(half / np.pi)
         read = np.stack([1j * windows.current, image, 1j * image, unit, 1j * unit, turning, 1j * turning])
-        begin, end = self.spans[np.minimum(windows.recording, len(self.spans) - 1)].T  # of live data, some may be later
+        begin, end = self._spans(windows)
         heat, drop = windows.heat / max(self.heat, 1e-12), self.model.coarse_drop(self.estimate)
         return Linearized(
             **vars(ends),
@@ -137,7 +147,7 @@ class EffectColumns:
             heat=heat,
             warmth=[heat] if self.winding is None else self.winding.courses(windows),
             link=self.link,
-            course=(windows.time + 0.5 * (windows.duration - begin - end)) / np.maximum(end - begin, TINY),
+            course=ends.elapsed / np.maximum(end - begin, TINY),
             ripple=self.ripple,
             filter=max(float(self._value("current_latency")[0]), 0.0),
             delay=self.delay,

@@ -70,6 +70,7 @@ class Ends:
     part: IntArray  # (N,), number of the part of the data, see :func:`divided`
     steady: float  # the one speed of all data, rad/s; 0 where there are several
     tracking: float  # square root of the lag of the angle per acceleration, s
+    elapsed: FloatArray  # (N,), time of the middle since that of the recording, s
 
     @property
     def rate(self) -> ComplexArray:
@@ -101,7 +102,7 @@ class Linearized(Ends):
     heat: FloatArray  # (N,), relative to the largest within a recording
     warmth: list[FloatArray]  # (N,), rise of the winding's temperature, likewise, see ``WindingHeat.courses``
     link: float  # mean DC-link voltage, V; NaN where it is not known
-    course: FloatArray  # (N,), time since the middle of the recording over its duration
+    course: FloatArray  # (N,), that time over the duration of the recording
     ripple: float  # Hz; 0 without
     filter: float  # time constant of the currents' filter, s; 0 without
     delay: float  # of the voltages, samples
@@ -298,6 +299,10 @@ class DriveEffect(ABC):
         """Return its columns (N,), Vs per unit; none where the data have none of it."""
         by_current = [between(at.turn * at.through(shift)) for shift in self.shifts(at)]
         return by_current + [between(at.tilt * wave) for wave in self.waves(at)]
+
+    def beyond(self, at: Linearized, _: FloatArray) -> ComplexArray:
+        """Return what values (K,) of it change (N,) beyond its columns, and beyond moved currents and angles, Vs."""
+        return np.zeros(len(at.windows), np.complex128)
 
     @abstractmethod
     def report(self, found: Reported) -> Iterator[Calibration]:

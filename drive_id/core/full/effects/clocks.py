@@ -1,0 +1,65 @@
+"""Signals that were logged by clocks of their own, one of which runs faster than the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drive_id.core.frames import ComplexArray
+from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported, between
+from drive_id.core.full.windows import SHIFTS, Windows
+from drive_id.types import FloatArray
+
+_FASTEST = 2e-4
+"""Most by which clocks differ: crystals keep within 100 ppm each."""
+
+
+def _at_ends(windows: Windows) -> ComplexArray:
+    """Return the voltages (N, 2) between the samples around each end of windows, V."""
+    return np.asarray(windows.held * np.exp(0.5j * windows.speed * windows.period[:, None]))
+
+
+@dataclass(frozen=True)
+class FastClock(DriveEffect):
+    """The stamps of a signal grow too fast, so that it is late by x t, with the time t since the recording's middle.
+
+    Late voltages are ``-[u_s]`` times the lateness, a late angle is omega times the tilt times it, and late currents
+    are as both that are early: ``voltages`` and ``angle`` tell by how much each is late, per lateness of the signal.
+    """
+
+    signal: str
+    voltages: float
+    angle: float
+    of_recordings, of_recorded_runs = True, True
+
+    def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:  # noqa: D102
+        return bool(abs(value[0]) < _FASTEST)
+
+    def waves(self, at: Ends) -> list[FloatArray]:  # noqa: D102
+        return [self.angle * at.windows.speed * at.elapsed[:, None]] if self.angle else []
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        by_angle = super().columns(at)[0] if self.angle else 0.0
+        return [by_angle - self.voltages * at.elapsed * between(_at_ends(at.windows))]
+
+    def beyond(self, at: Linearized, value: FloatArray) -> ComplexArray:  # noqa: D102
+        if not self.voltages:
+            return super().beyond(at, value)
+        late, shifts = self.voltages * value[0] * at.elapsed, np.array(SHIFTS)
+
+        def moved(delay: FloatArray) -> ComplexArray:
+            """Return what a delay, samples, takes (N,) from the integral of the voltages, which are held."""
+            before, after = np.clip(delay + shifts + 1, 0.0, 1.0), np.clip(-delay - shifts, 0.0, 1.0)
+            return np.asarray(np.sum(np.where(shifts < 0, before, -after) * at.windows.shifted, axis=1))
+
+        known = np.full((len(late), 1), at.delay)
+        exact = moved(known - (late / at.windows.period)[:, None]) - moved(known)
+        return np.asarray(exact + late * between(_at_ends(at.windows)))
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        value, sigma = float(found.value[0]), float(found.sigma[0])
+        told = {"signal": self.signal, "factor": 1 / (1 + value), "fast": value > 0}
+        told |= {"ppm": 1e6 * abs(value), "sigma_ppm": 1e6 * sigma}
+        yield replace(found.entry(self.name, value, sigma, "ppm", "fast_clock", scale=1e6, **told), doubtful=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.core.frames import ComplexArray
 from drive_id.core.full.between_samples import decay
 from drive_id.core.full.model import PENALTIES
 from drive_id.core.full.solver import CurrentNoise, FullSolution, Solver, noise_products
@@ -113,14 +114,15 @@ class DelayJump:
 
     recording: int  # number, from 0
     time: float  # since the start of that recording, gaps not counted, s
-    later: bool  # whether the voltages act later from then on
+    later: bool  # whether the voltages come later from then on
+    drift: float  # by which they come ever later, s/s, if that explains more; NaN otherwise
 
 
 def delay_jump(windows: Windows, residuals: FloatArray) -> DelayJump | None:
     """Return the jump of the delay that explains a substantial part of the residuals (N, 2), Vs, if there is one.
 
-    A delay by d samples of the period T adds ``-d T [u_s]`` to the balance of a window, [] being the difference between
-    its ends.
+    Or the drift that looks like one, as where clocks differ. A delay by d samples of the period T adds ``-d T [u_s]``
+    to the balance of a window, [] being the difference between its ends.
     """
     error = residuals[:, 0] + 1j * residuals[:, 1]
     column = -windows.period * (windows.held[:, 1] - windows.held[:, 0]) * np.sqrt(windows.weights)
@@ -144,8 +146,18 @@ def delay_jump(windows: Windows, residuals: FloatArray) -> DelayJump | None:
         best = int(np.argmax(share))
         jump = float(delays[1][best] - delays[0][best])
         if share[best] > _LEAST_SHARE and abs(jump) > _LEAST_JUMP:
-            found.append((share[best], DelayJump(int(number), SEGMENT * (best + 1), jump < 0)))
+            drift, saved_by_drift = _drift(windows.time[own] - first, column[own], error[own])
+            steady = drift * float(windows.period[own[0]]) if saved_by_drift > saved[best] else np.nan
+            found.append((share[best], DelayJump(int(number), SEGMENT * (best + 1), jump < 0, steady)))
     return max(found, key=lambda each: each[0])[1] if found else None
+
+
+def _drift(time: FloatArray, column: ComplexArray, error: ComplexArray) -> tuple[float, float]:
+    """Return by how much the voltages come ever later, samples per s, and what that saves beside a constant delay."""
+    columns = column * np.stack([np.ones_like(time), time - time.mean()])
+    normal, right = np.real(columns.conj() @ columns.T), np.real(columns.conj() @ error)
+    found = np.linalg.lstsq(normal, right, rcond=None)[0]
+    return -float(found[1]), float(found @ right - right[0] ** 2 / max(normal[0, 0], TINY))
 
 
 def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) -> Delay:

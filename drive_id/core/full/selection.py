@@ -91,11 +91,11 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         sums = sums.freed(sums.model.orders)
     crossings, solver = np.nan, Solver.over(sums)
     start = _aligned(sums, solver, settings, turn)
-    if jump_left(sums, start) is not None:
+    if (first := jump_left(sums, start)) is not None:
         candidate = _candidate(sums, _undelayed(solver, start, settings), settings, turn, noise)
         search = candidate.search
         if (jump := jump_left(search.sums, search.solution)) is not None:
-            return Selection(search.solution, search, jump=jump)
+            return Selection(search.solution, search, jump=replace(jump, drift=first.drift))
     bounded = noise.at_most(solver, start)  # fast currents look like noise to their differences
     sums, solver, start = _resolved(sums, solver, start, bounded)
     # without a motion of the rotor, only windows near zero current tie the map to its value there

@@ -92,7 +92,10 @@ class FullMethod:
         if (refused := clock_refused(fit)) is not None:
             raise DataError(refused)
         if (jump := fit.assessment.jump) is not None:
-            raise DataError(Message("delay_jump", later=jump.later, time=jump.time, recording=jump.recording + 1))
+            where = {"later": jump.later, "time": jump.time, "recording": jump.recording + 1}
+            if np.isfinite(jump.drift):
+                raise DataError(Message("fast_clock.unknown", drift=1e6 * abs(jump.drift), **where))
+            raise DataError(Message("delay_jump", **where))
         grid = evidence.visits.grid()
         found = _calibrations(evidence, fit, grid, inside)
         offset = next((c.value for c in found if c.name == calibration.RESOLVER_OFFSET and c.applied), 0.0)

@@ -392,7 +392,7 @@ def test_voltages_that_slip_within_a_recording_are_refused_at_once(samples, monk
     monkeypatch.setattr(selection, "_resolved", None)
     part, half = samples.part(0, 20_000), 10_000
     u_abc = np.concatenate([part.u_abc[:half], np.roll(part.u_abc, 1, axis=0)[half:]])
-    with pytest.raises(DataError, match=r"From 1\.[02]\d s of recording 2 on .*act later"):
+    with pytest.raises(DataError, match=r"From 1\.[02]\d s of recording 2 on .*come later"):
         identify([part, replace(part, u_abc=u_abc)], FULL)
 
 

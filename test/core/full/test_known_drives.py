@@ -9,6 +9,7 @@ from synthetic import every, reciprocal_flux, record
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.result.identify import identify
+from drive_id.errors import DataError
 
 FULL = FitSettings(method="full", harmonic_orders=())
 """Without candidates of harmonics, which the recordings do not have; those of the residuals are looked for."""
@@ -168,3 +169,32 @@ def test_a_resistance_that_falls_while_currents_heat_it_is_doubted():
     (told,) = (warning for warning in result.report.warnings if warning.code == "resistance_rise")
     assert told.values["value"] == pytest.approx(-1e-3, rel=0.1)
     assert "record the link" in told
+
+
+def late(samples, lateness):
+    """Return the voltages of samples, which are held, and their currents and angles, so much later (N,), s."""
+    t = (samples.stamp - samples.stamp[0]) * 1e-9
+    read = [np.unwrap(samples.angle), *samples.i_abc.T, *samples.u_abc.T]
+    angle, *phases = (np.interp(t - lateness(t), t, each) for each in read)
+    return np.transpose(phases[3:]), np.transpose(phases[:3]), np.angle(np.exp(1j * angle))
+
+
+@pytest.mark.accuracy
+@pytest.mark.parametrize("name", ["voltage_clock", "current_clock", "angle_clock"])
+def test_a_clock_that_runs_faster_than_the_others_is_found(name):
+    """Of 100 ppm, 2 samples at either end."""
+    plain = drive()
+    u_abc, i_abc, angle = late(plain, lambda t: 1e-4 * (t - 2.0))
+    signal = {"voltage_clock": {"u_abc": u_abc}, "current_clock": {"i_abc": i_abc}, "angle_clock": {"angle": angle}}
+    result = fitted(replace(plain, **signal[name]))
+    assert found(result, name).value == pytest.approx(100.0, abs=1.0)
+    assert {warning.code for warning in result.report.warnings} >= {"fast_clock"}
+    right(result)
+
+
+@pytest.mark.accuracy
+def test_a_clock_that_runs_much_faster_is_refused():
+    """Lost samples were named."""
+    plain = drive()
+    with pytest.raises(DataError, match=r"the voltages come ever later, by \d+ ppm"):
+        fitted(replace(plain, u_abc=late(plain, lambda t: 1.8e-4 * t)[0]))

@@ -60,6 +60,6 @@ class FastClock(DriveEffect):
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         value, sigma = float(found.value[0]), float(found.sigma[0])
-        told = {"signal": self.signal, "factor": 1 / (1 + value), "fast": value > 0}
+        told = {"signal": self.signal, "fast": value > 0, "factor": 1 / (1 + value)}
         told |= {"ppm": 1e6 * abs(value), "sigma_ppm": 1e6 * sigma}
         yield replace(found.entry(self.name, value, sigma, "ppm", "fast_clock", scale=1e6, **told), doubtful=True)

@@ -331,8 +331,8 @@ class _DraftText:
         choice, angle, reading = self._choice, self._choice.angle, self._choice.reading
         lines = [f"  angle: {quoted(angle.name)}"]
         unit = angle.like.unit
-        turn, pole_pairs, why = choice.turn, abs(reading.ratio[0]), ""
-        if unit == "counts" or pole_pairs != 1:
+        turn, pole_pairs, why = self._by_speed() or (choice.turn, abs(reading.ratio[0]), "")
+        if not why and (unit == "counts" or pole_pairs != 1):
             turn, pole_pairs, why = self._turn_of_shaft()
         if unit == "counts":
             lines += ["  angle_unit: counts", f"  counts_per_turn: {turn:.15g}"]
@@ -386,6 +386,14 @@ class _DraftText:
             said = f"EDIT: rad; {said}"
         return [f"  angle_offset: {offset:.4g}          # {said}"]
 
+    def _by_speed(self) -> tuple[float, int, str] | None:
+        """Return a turn of the shaft in the unit of the angle, and pole pairs, where a speed of the shaft shows them."""
+        electrical = self._choice.turn / abs(self._choice.reading.ratio[0])
+        pairs, unit, _, name, sure = next(self._speeds(electrical), (1, "", 1, "", False))
+        if pairs > 1 and sure and self._named_speed(name):
+            return electrical * pairs, pairs, f"               # by {printable(name)}, in {unit} of the shaft"
+        return None
+
     def _turn_of_shaft(self) -> tuple[float, int, str]:
         """Return a turn in the unit of the angle, its pole pairs, and what makes them known; 1 for the electrical turn.
 
@@ -400,9 +408,6 @@ class _DraftText:
         )
         of_sensor = of_sensor and not words(angle.name) & _RESOLVERS
         electrical = choice.turn / pole_pairs
-        pairs, unit, _, name, sure = next(self._speeds(electrical), (1, "", 1, "", False))
-        if pairs > 1 and sure and suggests(name, "speed"):
-            return electrical * pairs, pairs, f"               # by {printable(name)}, in {unit} of the shaft"
         if of_sensor:
             what = "count" if counts else "angle"
             self._unsure.append(
@@ -445,7 +450,7 @@ class _DraftText:
             if name in self._taken or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
                 continue
             means = np.array([y.mean(), y[:half].mean()])
-            named = suggests(name, "speed") or suggests(angle.table.unit(name), "speed")
+            named = self._named_speed(name)
             fitting: list[tuple[int, str, int]] = []
             for pairs, (unit, factor) in product(range(1, _MOST_POLE_PAIRS + 1), SPEED_UNITS.items()):
                 ratios = means * factor * pairs / by_angle
@@ -458,6 +463,10 @@ class _DraftText:
             for pairs, unit, sign in fitting:
                 if pairs <= most:
                     yield pairs, unit, sign, name, len(fitting) == 1 or (said and unit == "rpm")
+
+    def _named_speed(self, name: str) -> bool:
+        """Tell whether a column is a speed by its name or its unit."""
+        return suggests(name, "speed") or suggests(self._choice.angle.table.unit(name), "speed")
 
     def _reference(self) -> list[str]:
         """Return the pair of columns that the currents follow."""

@@ -326,7 +326,7 @@ def test_duty_cycles_are_no_volts_and_no_dc_link(kind, link, tmp_path, samples, 
     assert_same(found, samples, volts=0.05 if full <= 1000 else 0.3)
     assert ("guessed_setting" in warnings) == (not link)
     assert (f"# EDIT: {said}" in draft.text) == (not link)
-    assert "speed_scale: 4   # 4 pole pairs" in draft.text
+    assert "pole_pairs: 4               # by n_rpm, in rpm of the shaft" in draft.text
 
 
 PERCENT = {  # writers of logs of duty cycles without a DC link, of whose columns some are named by number
@@ -351,7 +351,7 @@ def test_percent_in_the_dialect_of_a_tool(tool, tmp_path, samples, columns):
     assert "guessed_setting" in warnings
     assert "scale: 4  # EDIT: U_dc/100" in draft.text
     assert "angle_unit: deg" in draft.text
-    said = "# no field is the speed of this angle" if "no names" in tool else "speed_scale: 4   # 4 pole pairs"
+    said = "# no field is the speed of this angle" if "no names" in tool else "pole_pairs: 4               # by "
     assert said in draft.text, "a constant without a name is some multiple of any constant speed"
 
 

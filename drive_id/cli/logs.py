@@ -94,13 +94,15 @@ def convert_log(
     signal_map = read_signals(signals) if signals else None
     with console.working(quiet or as_json, "Reading") as tell:
         recording = read_recording(log, signal_map, namespace=namespace)
-        samples = recording.samples
+        samples, pairs = recording.samples, signal_map.resolver.pole_pairs if signal_map else None
         tell("Writing", None)
         write_recording(bag, samples, recording.truth, start_stamp=0 if int(samples.stamp[0]) < 0 else None)
     if as_json:
-        told = {"bag": str(bag), "samples": len(samples), "sample_period": samples.sample_period}
+        told = {"bag": str(bag), "samples": len(samples), "sample_period": samples.sample_period, "pole_pairs": pairs}
         console.print_json(told | {"runs": len(samples.run_starts), "warnings": list(recording.warnings)})
     elif not quiet:
         console.warn(*recording.warnings)
         period, runs = samples.sample_period * 1e6, len(samples.run_starts)
         console.say(f"{bag}: {counted(len(samples), 'sample')} every {period:.6g} us, {counted(runs, 'run')}.")
+        if pairs:
+            console.say(f"A bag does not hold the pole pairs: drive-id fit {bag} --set pole_pairs={pairs}")

@@ -387,7 +387,7 @@ class _DraftText:
         return [f"  angle_offset: {offset:.4g}          # {said}"]
 
     def _by_speed(self) -> tuple[float, int, str] | None:
-        """Return a turn of the shaft in the unit of the angle, and pole pairs, where a speed of the shaft shows them."""
+        """Return a turn of the shaft, in the unit of the angle, and pole pairs, where its speed shows them."""
         electrical = self._choice.turn / abs(self._choice.reading.ratio[0])
         pairs, unit, _, name, sure = next(self._speeds(electrical), (1, "", 1, "", False))
         if pairs > 1 and sure and self._named_speed(name):

@@ -12,7 +12,6 @@ from drive_id.common.messages import Message
 from drive_id.common.origins import METHODS, ORIGINS
 from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.core.fit_settings import FitSettings
-from drive_id.core.maps.coverage import LARGE_FLUX
 from drive_id.core.result.identification import IdentifiedDrive
 from drive_id.core.result.identify import score
 from drive_id.core.result.mechanics import with_mechanics
@@ -24,6 +23,9 @@ from drive_id.types import GroundTruth, Samples
 
 _YEAR_2000 = 946_684_800_000_000_000
 """ns; earlier stamps are not times of day."""
+
+_LARGE_FLUX = 10.0
+"""Flux linkage, Wb, beyond that of most machines: slow direct drives on 400 V reach 3, and are read in right units."""
 
 
 def completed(
@@ -82,7 +84,7 @@ def _implausible(drive: IdentifiedDrive, given: int | None, recorded: int | None
     """Yield what no machine has, or contradicts the recording: a wrong unit or setting, which fits as well."""
     flux_map = drive.flux_map
     largest = float(np.abs(flux_map.psi[flux_map.inside]).max(initial=0.0))
-    if largest > LARGE_FLUX:
+    if largest > _LARGE_FLUX:
         yield Message("large_flux", flux=largest, voltage=2 * np.pi * 50 * largest)
     if given and recorded and given != recorded:
         yield Message("other_pole_pairs", given=given, recorded=recorded)

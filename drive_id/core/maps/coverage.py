@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.types import BoolArray, FloatArray, IntArray
 
-LARGE_FLUX = 2.0
-"""Flux linkage beyond that of most machines, Wb: at 50 Hz it induces 628 V, more than an inverter on 1000 V gives."""
 FLUX_CELLS = 16
 """Usual cells per axis of the map of method ``full``, whose data cover the disc where no hole is wider than a cell."""
 _STRAY_SHARE = 0.1  # of the typical count of a node, below which samples beyond the rim count as stray

@@ -15,7 +15,7 @@ from drive_id.core.numerics.largest import USUAL_QUANTILE
 from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.files.messages.signal_sources import ANGLE_UNITS
-from drive_id.inspection.clock import FEWEST, PERIODS, numbered, regular_stamps, timed, together
+from drive_id.inspection.clock import FEWEST, PERIODS, numbered, regular_stamps, timed, together, unsorted_time
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import NameGroup, name_groups, suggests, words
 from drive_id.inspection.points import AngleColumn, PhaseGroup, angle_points, current_points, dc_link, voltage_points
@@ -86,6 +86,8 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     unread = [table.problem for table in contents.tables if table.problem and not table.columns]
     if unread and len(unread) == len(contents.tables):
         raise ConfigurationError(f"Nothing in {contents.path} can be read: {unread[0]}")
+    for name in filter(None, map(unsorted_time, tables)):
+        raise ConfigurationError(f"The rows of {contents.path} are not in the order of their times, {name}: sort them.")
     groups = [found for table in tables for found in _groups(table)]
     angles = sorted((found for table in tables for found in _angles(table)), key=angle_points, reverse=True)
     currents = sorted(groups, key=current_points, reverse=True)

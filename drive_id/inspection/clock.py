@@ -166,6 +166,19 @@ def time_column(table: Table) -> TimeColumn | None:
     return None
 
 
+def unsorted_time(table: Table) -> str:
+    """Return the column whose times are whole numbers of periods apart once they are sorted, which they are not."""
+    for name, x in table.columns.items():
+        if not suggests(name, "time") or len(x) < FEWEST or not np.isfinite(x).all():
+            continue
+        steps = np.diff(np.unique(x))
+        periods = steps / np.quantile(steps, JITTER) if len(steps) else steps
+        whole = np.abs(periods - np.rint(periods)) < JITTER * periods
+        if (np.diff(x) >= 0).mean() < _ONWARD and len(steps) > len(x) / 2 and whole.mean() > _ONWARD:
+            return name
+    return ""
+
+
 def _unlikely(step: float, unit: str) -> float:
     """Return how far a step in this unit is from the usual period, by their ratio."""
     return abs(float(np.log(max(step, 1e-300) * STAMP_UNITS[unit] * 1e-9 / GUESSED_PERIOD)))

@@ -21,7 +21,8 @@ _WORDS = {
               "gamma", "th", "resolver", "el"),
     "speed": ("speed", "velocity", "vel", "omega", "rpm", "erpm", "n", "w", "drehzahl"),
     "dc": ("dc", "udc", "vdc", "ubus", "vbus", "bus", "link", "dclink", "zk", "uzk", "battery", "supply"),
-    "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "ticks", "seconds", "sec", "secs", "today", "elapsed"),
+    "time": ("t", "time", "timestamp", "zeit", "stamp", "ts", "tick", "ticks", "seconds", "sec", "secs", "today",
+             "elapsed"),
 }  # fmt: skip
 _UNIT = "(?P<prefix>" + UNIT[1:].replace(")(", ")(?P<base>", 1)
 _UNITS_IN_NAMES = (  # I1 [mA], I1/mA, I1 [0.1A]; I1_mA, I1 in mA, or the unit alone, as a log gives it; ms_today

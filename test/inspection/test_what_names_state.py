@@ -141,3 +141,21 @@ def test_an_impossible_flux_and_other_pole_pairs_are_told(simulation):
     recorded = replace(simulation.samples, truth=simulation.truth)
     told = {message.code: message for message in fit([recorded], settings=settings).warnings}
     assert told["other_pole_pairs"].values == {"given": 7, "recorded": 4}
+
+
+def test_ticks_of_a_timer_that_starts_again_are_a_time_whose_unit_is_a_guess(samples, tmp_path):
+    ticks = (100 * np.arange(len(samples)) + 60_000) % 65_536
+    found, draft, warnings = drafted(samples, tmp_path, time_s=None, tick=ticks)
+    assert "stamp_bits: 16" in draft.text
+    assert "stamp_unit: us" in draft.text
+    assert any("stamp_unit: us" in warning for warning in warnings)
+    assert np.ptp(found.stamp) == np.ptp(samples.stamp[: len(found)])
+
+
+def test_rows_that_are_not_in_the_order_of_their_times_are_told(samples, tmp_path):
+    """Their angle was said to move as none."""
+    order = np.random.default_rng(0).permutation(len(samples))
+    path = write_csv(tmp_path / "log.csv", {name: x[order] for name, x in columns(samples).items()})
+    found = check(path)
+    assert found.draft is None
+    assert any("are not in the order of their times, time_s: sort them." in finding for finding in found.findings)

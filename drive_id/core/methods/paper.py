@@ -91,6 +91,7 @@ class PaperMethod:
                 *self._on_inverter(evidence, solution, spread, inside),
             ),
             error_modes=_error_modes(information, spread, grid, inside, error, curve),
+            statements=(Message("scatter_only"),),
         )
 
     def _on_inverter(

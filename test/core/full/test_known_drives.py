@@ -171,23 +171,20 @@ def test_a_resistance_that_falls_while_currents_heat_it_is_doubted():
     assert "record the link" in told
 
 
-def late(samples, lateness):
-    """Return the voltages of samples, which are held, and their currents and angles, so much later (N,), s."""
+def late(samples, lateness, *names):
+    """Return samples whose currents, or voltages, which are held, are so much later (N,), s."""
     t = (samples.stamp - samples.stamp[0]) * 1e-9
-    read = [np.unwrap(samples.angle), *samples.i_abc.T, *samples.u_abc.T]
-    angle, *phases = (np.interp(t - lateness(t), t, each) for each in read)
-    return np.transpose(phases[3:]), np.transpose(phases[:3]), np.angle(np.exp(1j * angle))
+    read = t - lateness(t)
+    return replace(
+        samples, **{x: np.transpose([np.interp(read, t, own) for own in getattr(samples, x).T]) for x in names}
+    )
 
 
 @pytest.mark.accuracy
-@pytest.mark.parametrize("name", ["voltage_clock", "current_clock", "angle_clock"])
-def test_a_clock_that_runs_faster_than_the_others_is_found(name):
-    """Of 100 ppm, 2 samples at either end."""
-    plain = drive()
-    u_abc, i_abc, angle = late(plain, lambda t: 1e-4 * (t - 2.0))
-    signal = {"voltage_clock": {"u_abc": u_abc}, "current_clock": {"i_abc": i_abc}, "angle_clock": {"angle": angle}}
-    result = fitted(replace(plain, **signal[name]))
-    assert found(result, name).value == pytest.approx(100.0, abs=1.0)
+def test_a_clock_that_runs_faster_than_the_others_is_found():
+    """Of 100 ppm, 2 samples at either end, of the currents: voltages and angle are early."""
+    result = fitted(late(drive(), lambda t: 1e-4 * (t - 2.0), "i_abc"))
+    assert found(result, "current_clock").value == pytest.approx(100.0, abs=1.0)
     assert {warning.code for warning in result.report.warnings} >= {"fast_clock"}
     right(result)
 
@@ -195,6 +192,5 @@ def test_a_clock_that_runs_faster_than_the_others_is_found(name):
 @pytest.mark.accuracy
 def test_a_clock_that_runs_much_faster_is_refused():
     """Lost samples were named."""
-    plain = drive()
     with pytest.raises(DataError, match=r"the voltages come ever later, by \d+ ppm"):
-        fitted(replace(plain, u_abc=late(plain, lambda t: 1.8e-4 * t)[0]))
+        fitted(late(drive(), lambda t: 1.8e-4 * t, "u_abc"))

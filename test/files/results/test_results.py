@@ -16,7 +16,7 @@ from result_folder import forget_digests
 from drive_id.core.fit_settings import FitSettings
 from drive_id.errors import OutputError, ResultError
 from drive_id.files.results import folder as results
-from drive_id.files.results.folder import check_output, replace_folder
+from drive_id.files.results.folder import check_absent, check_output, replace_folder
 from drive_id.files.results.identification import Provenance, read_results, results_tree, write_results
 
 
@@ -438,3 +438,16 @@ def test_an_unreadable_folder(tmp_path, monkeypatch):
     monkeypatch.setattr(Path, "iterdir", denied)
     with pytest.raises(OutputError, match="Permission denied"):
         check_output(tmp_path / "out")
+
+
+def test_what_is_new_must_not_exist(tmp_path):
+    check_absent(tmp_path / "new" / "deeper")
+    (tmp_path / "file").touch()
+    (tmp_path / "dangling").symlink_to("nowhere")
+    for name in ("file", "dangling", "."):
+        with pytest.raises(OutputError, match="exists already"):
+            check_absent(tmp_path / name)
+    with pytest.raises(OutputError, match="because of"):
+        check_absent(tmp_path / "file" / "below")
+    with pytest.raises(OutputError, match="File name too long"):
+        check_absent(tmp_path / ("x" * 300))

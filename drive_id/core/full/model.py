@@ -25,7 +25,7 @@ from drive_id.common.temperature import COPPER
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.catalogue import CATALOGUE
 from drive_id.core.full.resolution import Resolution
-from drive_id.core.full.windows import EARLIEST, SHIFTS, Terms
+from drive_id.core.full.windows import EARLIEST, SHIFTS, Terms, held_shares
 from drive_id.core.maps.coenergy import GradientSpline, PotentialSpline
 from drive_id.core.maps.flux_models import ColumnArray
 from drive_id.core.maps.inverter_curve import CapacitiveShapes
@@ -442,16 +442,13 @@ class ModelSpec:
 def delay_shares(delay: float) -> FloatArray:
     """Return the weights (K,) of the shift columns for a delay in samples, -4 to 4.
 
-    The commanded voltage is held, so a fractional delay takes exactly that fraction of the previous sample. A delay
-    between ``EARLIEST`` and 0, as decimated logs have, would take it of the sample that begins at the end of a window:
-    where the controller answers at once to the noise of the current there, that predicts the noise, and such a delay
-    was missed. It takes the voltage before the end instead, turned on with the rotor.
+    A delay between ``EARLIEST`` and 0, as decimated logs have, would take a share of the sample that begins at the end
+    of a window: where the controller answers at once to the noise of the current there, that predicts the noise, and
+    such a delay was missed. It takes the voltage before the end instead, turned on with the rotor.
     """
-    shifts = np.array(SHIFTS)
     if EARLIEST < delay < 0:
-        return np.append(np.zeros(len(shifts)), delay)
-    held = np.where(shifts < 0, np.clip(delay + shifts + 1, 0.0, 1.0), -np.clip(-delay - shifts, 0.0, 1.0))
-    return np.append(held, 0.0)
+        return np.append(np.zeros(len(SHIFTS)), delay)
+    return np.append(held_shares(delay), 0.0)
 
 
 def _turned_on(windows: Terms) -> ComplexArray:

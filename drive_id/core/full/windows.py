@@ -78,6 +78,15 @@ _GOLDEN = 0.6180339887498949
 """Golden section: shifts windows evenly, and never in step with the rotor or the trajectory."""
 
 
+def held_shares(delay: FloatArray | float) -> FloatArray:
+    """Return the shares (..., len(SHIFTS)) of the voltages kept around an end that a delay (..., 1), samples, takes.
+
+    The commanded voltage is held, so a fractional delay takes exactly that fraction of the previous sample.
+    """
+    shifts = np.array(SHIFTS)
+    return np.where(shifts < 0, np.clip(delay + shifts + 1, 0.0, 1.0), -np.clip(-delay - shifts, 0.0, 1.0))
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Terms:
     """Terms of the balance over N windows as far as the columns of the sums need them."""

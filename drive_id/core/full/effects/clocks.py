@@ -9,7 +9,7 @@ import numpy as np
 
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported, between
-from drive_id.core.full.windows import SHIFTS, Windows
+from drive_id.core.full.windows import Windows, held_shares
 from drive_id.types import FloatArray
 
 _LEAST, _MOST = 2e-7, 2e-4
@@ -48,15 +48,9 @@ class FastClock(DriveEffect):
     def beyond(self, at: Linearized, value: FloatArray) -> ComplexArray:  # noqa: D102
         if not self.voltages:
             return super().beyond(at, value)
-        late, shifts = self.voltages * value[0] * at.elapsed, np.array(SHIFTS)
-
-        def moved(delay: FloatArray) -> ComplexArray:
-            """Return what a delay, samples, takes (N,) from the integral of the voltages, which are held."""
-            before, after = np.clip(delay + shifts + 1, 0.0, 1.0), np.clip(-delay - shifts, 0.0, 1.0)
-            return np.asarray(np.sum(np.where(shifts < 0, before, -after) * at.windows.shifted, axis=1))
-
-        known = np.full((len(late), 1), at.delay)
-        exact = moved(known - (late / at.windows.period)[:, None]) - moved(known)
+        late = self.voltages * value[0] * at.elapsed
+        taken = held_shares(at.delay - (late / at.windows.period)[:, None]) - held_shares(at.delay)
+        exact = np.sum(taken * at.windows.shifted, axis=1)
         return np.asarray(exact + late * between(_at_ends(at.windows)))
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102

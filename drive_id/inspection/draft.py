@@ -33,6 +33,8 @@ from drive_id.inspection.scales import LARGEST_SHARE, full_scale, is_whole, may_
 from drive_id.inspection.static_draft import is_slow, static_draft
 from drive_id.types import FloatArray
 
+_REFERENCES = {1.0: "in A", float(np.sqrt(2)): "these are rms values", 1e-3: "in mA", 1e3: "in kA"}
+"""Factors to A of references that some tools log."""
 _SAME_RATE = 0.005
 """Relative difference up to which two sample periods are the same."""
 _POOR = 0.35
@@ -487,8 +489,11 @@ class _DraftText:
                 wanted, found = values[nearest(clock[there], table.stamp)], i_dq[there]
                 gain = float(np.sum(wanted * found) / max(np.sum(wanted**2), 1e-300))
                 alike = float(np.sum(wanted * found) / np.sqrt(max(np.sum(wanted**2) * np.sum(found**2), 1e-300)))
-                if alike > 0.9 and 0.8 < gain < 1.25:
-                    return ["", "reference:", *self._time(table, [f"  fields: {listed(group.names)}"])]
+                factor = min(_REFERENCES, key=lambda known: abs(np.log(max(gain, 1e-300) / known)))
+                if alike > 0.9 and 0.8 < gain / factor < 1.25:
+                    scale = [f"  scale: {factor:.6g}          # by the currents: {_REFERENCES[factor]}"]
+                    lines = [f"  fields: {listed(group.names)}", *(scale if factor != 1 else [])]
+                    return ["", "reference:", *self._time(table, lines)]
         self._unsure.append(
             "No columns are the references of i_d and i_q: a fit then takes i_max from the currents and corrects less "
             "for their noise."

@@ -159,3 +159,12 @@ def test_rows_that_are_not_in_the_order_of_their_times_are_told(samples, tmp_pat
     found = check(path)
     assert found.draft is None
     assert any("are not in the order of their times, time_s: sort them." in finding for finding in found.findings)
+
+
+@pytest.mark.parametrize("factor", [np.sqrt(2), 1e-3])
+def test_references_in_rms_or_in_milliamperes_are_references(factor, samples, tmp_path):
+    """They were said to be missing."""
+    wanted = {name: samples.i_dq_reference[:, k] / factor for k, name in enumerate(("id_ref", "iq_ref"))}
+    found, draft, _ = drafted(samples, tmp_path, **wanted)
+    assert draft.unsure == ()
+    assert np.abs(found.i_dq_reference - samples.i_dq_reference[: len(found)]).max() < 1e-3

@@ -28,6 +28,8 @@ INDEX = "index"
 """Stamp source for row numbers."""
 GUESSED_PERIOD = 1e-4
 """Period that the draft assumes for a log without a time column, s."""
+_USUAL_LEAST = 0.02
+"""Quantile of the steps between sorted times that is one period: rounding makes a few smaller."""
 _LONGEST = 2.0**62  # ns, which stamps hold
 _REGULAR = 1e-3
 """Relative spread of the steps of a column that may be a time without a name."""
@@ -172,7 +174,7 @@ def unsorted_time(table: Table) -> str:
         if not suggests(name, "time") or len(x) < FEWEST or not np.isfinite(x).all():
             continue
         steps = np.diff(np.unique(x))
-        periods = steps / np.quantile(steps, JITTER) if len(steps) else steps
+        periods = steps / np.quantile(steps, _USUAL_LEAST) if len(steps) else steps
         whole = np.abs(periods - np.rint(periods)) < JITTER * periods
         if (np.diff(x) >= 0).mean() < _ONWARD and len(steps) > len(x) / 2 and whole.mean() > _ONWARD:
             return name

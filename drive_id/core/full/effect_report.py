@@ -160,15 +160,17 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
 
 def clock_refused(fit: FullFit) -> Message | None:
     """Return that a clock runs so fast that the fit cannot follow: beyond the voltages that windows keep, or a jump."""
-    columns, kept, jump = fit.selection.search.found.columns, fit.selection.search.sums.kept(), fit.assessment.jump
-    half, period = (
-        0.5 * float(np.ptp(columns.spans, axis=1).max()),
-        min(float(windows.period.min()) for windows in kept),
-    )
+    if not any(CATALOGUE[name].drifts for name in fit.spec.effects):
+        return None
+    search, jump = fit.selection.search, fit.assessment.jump
+    period = min(float(windows.period.min()) for windows in search.sums.kept())
+    samples = 0.5 * float(np.ptp(search.found.columns.spans, axis=1).max()) / period
+    lost = jump is not None and np.isfinite(jump.drift)
     for entry in effect_entries(fit):
-        late = abs(entry.message.values.get("ppm", 0.0)) * 1e-6 * half / period + abs(fit.spec.delay)
-        if entry.message.code == "fast_clock" and (late > MOST_DELAY or (jump is not None and np.isfinite(jump.drift))):
-            return Message("fast_clock.far", **entry.message.values)
+        if entry.message.code == "fast_clock":
+            late = 1e-6 * abs(entry.value) * samples + abs(fit.spec.delay)
+            if lost or late > MOST_DELAY:
+                return Message("fast_clock.far", **entry.message.values)
     return None
 
 

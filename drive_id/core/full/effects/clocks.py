@@ -33,7 +33,7 @@ class FastClock(DriveEffect):
     signal: str
     voltages: float
     angle: float
-    of_recordings, of_recorded_runs = True, True
+    of_recordings, of_recorded_runs, drifts = True, True, True
 
     def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:  # noqa: D102
         return bool(_LEAST < abs(value[0]) < _MOST)

@@ -119,10 +119,8 @@ class EffectColumns:
         )  # fmt: skip
 
     def _spans(self, windows: Windows) -> FloatArray:
-        """Return when the recording of each window begins and ends (2, N), s."""
-        return np.asarray(
-            self.spans[np.minimum(windows.recording, len(self.spans) - 1)].T
-        )  # of live data, some may be later
+        """Return when the recording of each window begins and ends (2, N), s; of live data, some may be later."""
+        return np.asarray(self.spans[np.minimum(windows.recording, len(self.spans) - 1)].T)
 
     def _at(self, windows: Windows) -> Linearized:
         ends, i_dq, through = self._ends(windows), _as_complex(windows.i_dq), self._jacobian(windows)

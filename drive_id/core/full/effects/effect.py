@@ -245,6 +245,8 @@ class DriveEffect(ABC):
     """Whether its phase holds for the recorded runs only, so that no simulation can have it."""
     moves_steps: ClassVar[bool] = False
     """Whether the drop steps at other times than those at which the measured currents change their signs."""
+    drifts: ClassVar[bool] = False
+    """Whether it makes a signal later and later over a recording."""
     attuned: ClassVar[bool] = False
     """Whether its columns have a frequency or a time constant, which is found anew with each linearization."""
     beside: ClassVar[str] = ""

@@ -20,6 +20,8 @@ _AGREEING = 4.0  # joint standard errors that the largest of some hundred differ
 _OTHER_MACHINE = 0.08
 """NRMSE beyond which no temperature explains a difference: a neodymium magnet loses 0.12 % per kelvin, so 65 K."""
 
+_INTERPOLATED = 1e-4
+"""NRMSE up to which tables of one map differ by the interpolation between their points: 0.003 % after an export."""
 _OTHER_LINK = 0.005
 """Relative difference of two DC-link voltages from which on it can be told in the fluxes."""
 _LIKE_LINK = (0.2, 0.5)
@@ -108,6 +110,8 @@ class Comparison(Tabled):
             told = "It may be the same machine: without standard errors nothing more can be said."
         elif largest <= _AGREEING:
             told = "The same machine, as far as the standard errors can tell."
+        elif max(self.nrmse) < _INTERPOLATED and not abs(self.resistance_in_sigma) > _AGREEING:
+            told = "The same machine: tables of one map differ as much by interpolation."
         else:
             told = (
                 "It may be the same machine at another temperature or with other sensor gains, but the standard errors "

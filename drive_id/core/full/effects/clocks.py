@@ -12,9 +12,9 @@ from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Li
 from drive_id.core.full.windows import Windows, held_shares
 from drive_id.types import FloatArray
 
-_LEAST, _MOST = 2e-7, 2e-4
-"""By which clocks of their own differ: crystals keep within 100 ppm each, and hardly ever agree to 0.2. Magnets that
-warm looked like 0.12 ppm."""
+_LEAST, _MOST = 1e-6, 2e-4
+"""By which clocks of their own differ: crystals keep within 100 ppm each, and hardly ever agree to 1. Magnets that warm
+looked like 0.12 ppm, a sensor's gain that rises like 0.55, and what they may be instead is told less surely then."""
 
 
 def _at_ends(windows: Windows) -> ComplexArray:

@@ -453,7 +453,7 @@ def delay_shares(delay: float) -> FloatArray:
 
 def _turned_on(windows: Terms) -> ComplexArray:
     """Return by how much the integral (N,) changes per sample by which the voltages act early, Vs."""
-    ahead = windows.held * np.exp(1j * windows.speed * windows.period[:, None])
+    ahead = windows.held_after(1.0)
     return np.asarray(windows.period * (ahead[:, 1] - ahead[:, 0]))
 
 

@@ -139,6 +139,10 @@ class Terms:
         known = {name: x for name, x in arrays.items() if all(own is not None for own in x)}
         return cls(**{name: np.concatenate(x) if len(x) > 1 else x[0] for name, x in known.items()})
 
+    def held_after(self, samples: float) -> ComplexArray:
+        """Return the voltages (N, 2) held before [start, end], turned on with the rotor by samples, V."""
+        return np.asarray(self.held * np.exp(1j * samples * self.speed * self.period[:, None]))
+
     @property
     def weights(self) -> FloatArray:
         """Weights (N,) of the squared residuals."""

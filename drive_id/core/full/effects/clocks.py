@@ -8,18 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported, between
-from drive_id.core.full.windows import Windows, held_shares
+from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported
+from drive_id.core.full.windows import held_shares
 from drive_id.types import FloatArray
 
 _LEAST, _MOST = 1e-6, 2e-4
 """By which clocks of their own differ: crystals keep within 100 ppm each, and hardly ever agree to 1. Magnets that warm
 looked like 0.12 ppm, a sensor's gain that rises like 0.55, and what they may be instead is told less surely then."""
-
-
-def _at_ends(windows: Windows) -> ComplexArray:
-    """Return the voltages (N, 2) between the samples around each end of windows, V."""
-    return np.asarray(windows.held * np.exp(0.5j * windows.speed * windows.period[:, None]))
 
 
 @dataclass(frozen=True)
@@ -43,7 +38,7 @@ class FastClock(DriveEffect):
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         by_angle = super().columns(at)[0] if self.angle else 0.0
-        return [by_angle - self.voltages * at.elapsed * between(_at_ends(at.windows))]
+        return [by_angle - self.voltages * at.elapsed * at.step]
 
     def beyond(self, at: Linearized, value: FloatArray) -> ComplexArray:  # noqa: D102
         if not self.voltages:
@@ -51,7 +46,7 @@ class FastClock(DriveEffect):
         late = self.voltages * value[0] * at.elapsed
         taken = held_shares(at.delay - (late / at.windows.period)[:, None]) - held_shares(at.delay)
         exact = np.sum(taken * at.windows.shifted, axis=1)
-        return np.asarray(exact + late * between(_at_ends(at.windows)))
+        return np.asarray(exact + late * at.step)
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         value, sigma = float(found.value[0]), float(found.sigma[0])

@@ -120,6 +120,11 @@ class Linearized(Ends):
         return [windows.drop_scale * between(frames.space_vector(each)) for each in np.moveaxis(shapes, -1, 0)]
 
     @cached_property
+    def step(self) -> ComplexArray:
+        """Difference (N,) between the ends of the voltage, at each that between the samples around it, V."""
+        return between(self.windows.held_after(0.5))
+
+    @cached_property
     def drop(self) -> ComplexArray:
         """Integral (N,) of the drop, Vs."""
         return frames.space_vector(self.drops)

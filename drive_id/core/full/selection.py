@@ -95,7 +95,9 @@ def select(sums: WindowSums, settings: FitSettings, turn: float, noise: CurrentN
         candidate = _candidate(sums, _undelayed(solver, start, settings), settings, turn, noise)
         search = candidate.search
         if (jump := jump_left(search.sums, search.solution)) is not None:
-            return Selection(search.solution, search, jump=replace(jump, drift=first.drift))
+            return Selection(
+                search.solution, search, jump=first if np.isfinite(first.drift) else replace(jump, drift=np.nan)
+            )
     bounded = noise.at_most(solver, start)  # fast currents look like noise to their differences
     sums, solver, start = _resolved(sums, solver, start, bounded)
     # without a motion of the rotor, only windows near zero current tie the map to its value there

@@ -158,19 +158,18 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
     return _doubted_heat(out)
 
 
-def clock_refused(fit: FullFit) -> Message | None:
-    """Return that a clock runs so fast that the fit cannot follow: beyond the voltages that windows keep, or a jump."""
-    if not any(CATALOGUE[name].drifts for name in fit.spec.effects):
-        return None
+def effect_refused(fit: FullFit) -> Message | None:
+    """Return why the fit cannot follow as much of an effect as it found; None where it can."""
     search, jump = fit.selection.search, fit.assessment.jump
+    half = 0.5 * float(np.ptp(search.found.columns.spans, axis=1).max())
     period = min(float(windows.period.min()) for windows in search.sums.kept())
-    samples = 0.5 * float(np.ptp(search.found.columns.spans, axis=1).max()) / period
-    lost = jump is not None and np.isfinite(jump.drift)
-    for entry in effect_entries(fit):
-        if entry.message.code == "fast_clock":
-            late = 1e-6 * abs(entry.value) * samples + abs(fit.spec.delay)
-            if lost or late > MOST_DELAY:
-                return Message("fast_clock.far", **entry.message.values)
+    drifts = jump is not None and np.isfinite(jump.drift)  # however little was found, the rest is left
+    reach = 0.0 if drifts else (MOST_DELAY - abs(fit.spec.delay)) * period
+    for taken in search.found.taken:
+        if taken.name in fit.spec.effects:
+            value = fit.solution.estimate[fit.model.effect(taken.name)]
+            if (said := CATALOGUE[taken.name].refused(value, half, reach)) is not None:
+                return said
     return None
 
 

@@ -14,8 +14,8 @@ from drive_id.core.full import calibration
 from drive_id.core.full.calibration import rotated
 from drive_id.core.full.effect_report import (
     OUTLYING,
-    clock_refused,
     effect_entries,
+    effect_refused,
     misfit_found,
     not_reciprocal_warning,
     unseen_warning,
@@ -89,7 +89,7 @@ class FullMethod:
             information, evidence.settings, evidence.turn, evidence.current_variance, earlier,
             angle_variance=evidence.angle_variance, interpolation_variance=evidence.interpolation_variance,
         )  # fmt: skip
-        if (refused := clock_refused(fit)) is not None:
+        if (refused := effect_refused(fit)) is not None:
             raise DataError(refused)
         if (jump := fit.assessment.jump) is not None:
             where = {"later": jump.later, "time": jump.time, "recording": jump.recording + 1}

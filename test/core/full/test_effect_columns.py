@@ -500,6 +500,15 @@ def test_a_clock_is_known_beyond_the_first_order(estimate, name):
     )
 
 
+def test_a_clock_is_refused_from_the_lateness_on_that_windows_hold():
+    clock = CATALOGUE["angle_clock"]
+    assert clock.refused(np.array([-7e-5]), 5.0, 4e-4) is None
+    said = clock.refused(np.array([-9e-5]), 5.0, 4e-4)
+    assert str(said).startswith("The clock of the angle is some 90 ppm slow against that of the other signals")
+    assert clock.refused(np.array([1e-6]), 5.0, 0.0) is not None, "where a drift is left, whatever was found"
+    assert CATALOGUE["iron_loss"].refused(np.array([1.0]), 5.0, 0.0) is None
+
+
 @pytest.mark.parametrize(("name", "size"), [("iron_loss", LARGE_LOSS), ("angle_latency", 8e-4)])
 def test_at_moved_currents_the_columns_are_the_slopes_of_the_nonlinear_balance(estimate, name, size):
     """An effect that moves the current by a tenth of its range: its balance, differentiated numerically."""

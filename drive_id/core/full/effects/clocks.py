@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from drive_id.common.messages import Message
 from drive_id.core.frames import ComplexArray
 from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported
 from drive_id.core.full.windows import held_shares
@@ -28,7 +30,7 @@ class FastClock(DriveEffect):
     signal: str
     voltages: float
     angle: float
-    of_recordings, of_recorded_runs, drifts = True, True, True
+    of_recordings, of_recorded_runs = True, True
 
     def plausible(self, value: FloatArray, _turn: float, _period: float) -> bool:  # noqa: D102
         return bool(_LEAST < abs(value[0]) < _MOST)
@@ -48,8 +50,14 @@ class FastClock(DriveEffect):
         exact = np.sum(taken * at.windows.shifted, axis=1)
         return np.asarray(exact + late * at.step)
 
+    def refused(self, value: FloatArray, half: float, reach: float) -> Message | None:  # noqa: D102
+        late = abs(float(value[0])) * half
+        return Message("fast_clock.far", **self._told(float(value[0]))) if late > reach else None
+
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         value, sigma = float(found.value[0]), float(found.sigma[0])
-        told = {"signal": self.signal, "fast": value > 0, "factor": 1 / (1 + value)}
-        told |= {"ppm": 1e6 * abs(value), "sigma_ppm": 1e6 * sigma}
+        told = self._told(value) | {"sigma_ppm": 1e6 * sigma}
         yield replace(found.entry(self.name, value, sigma, "ppm", "fast_clock", scale=1e6, **told), doubtful=True)
+
+    def _told(self, value: float) -> dict[str, Any]:
+        return {"signal": self.signal, "fast": value > 0, "factor": 1 / (1 + value), "ppm": 1e6 * abs(value)}

@@ -250,8 +250,6 @@ class DriveEffect(ABC):
     """Whether its phase holds for the recorded runs only, so that no simulation can have it."""
     moves_steps: ClassVar[bool] = False
     """Whether the drop steps at other times than those at which the measured currents change their signs."""
-    drifts: ClassVar[bool] = False
-    """Whether it makes a signal later and later over a recording."""
     attuned: ClassVar[bool] = False
     """Whether its columns have a frequency or a time constant, which is found anew with each linearization."""
     beside: ClassVar[str] = ""
@@ -310,6 +308,13 @@ class DriveEffect(ABC):
     def beyond(self, at: Linearized, _: FloatArray) -> ComplexArray:
         """Return what values (K,) of it change (N,) beyond its columns, and beyond moved currents and angles, Vs."""
         return np.zeros(len(at.windows), np.complex128)
+
+    def refused(self, _value: FloatArray, _half: float, _reach: float) -> Message | None:
+        """Return why values (K,) of it are more than a fit follows, which none is by default.
+
+        Given are half of the longest recording, s, and by how much more the voltages may be late, s.
+        """
+        return None
 
     @abstractmethod
     def report(self, found: Reported) -> Iterator[Calibration]:

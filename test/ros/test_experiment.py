@@ -255,6 +255,9 @@ def test_goals_that_are_not_possible_are_refused(goal):
     for code, fields in (
         ("limit", {"i_max": 2 * I_MAX}),
         ("configuration", {"trajectory": "zigzag"}),
+        ("configuration", {"name": "../elsewhere"}),
+        ("configuration", {"i_max": math.inf}),
+        ("configuration", {"i_max": math.nan}),
         ("configuration", {"signals": "/no/such.yaml"}),
     ):
         status, result = goal(**fields).wait(ENDED)

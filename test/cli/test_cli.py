@@ -252,7 +252,9 @@ def test_access_denied(run, bag, monkeypatch):
     assert_one_sentence(run("simulate", "--machine", "ipm", "--output", "new"), "cannot be written because of .")
 
 
-# -- bad settings: how they are given; test_settings.py has what is refused ------------------------------------------
+# -- bad settings ----------------------------------------------------------------------------------------------------
+
+HUGE = "1" + 400 * "0"
 
 
 @pytest.mark.parametrize(
@@ -260,7 +262,9 @@ def test_access_denied(run, bag, monkeypatch):
     [
         ("method", "NAME=VALUE"),
         ("splines=8", "'splines' in the options does not exist: did you mean"),
+        ("splines_d=3", "at least 4 and at most"),
         ("splines_d=[8", "is not valid YAML"),
+        ("i_max=" + HUGE, "must be a number or null"),
         ("method=on", "True: it must be text"),
         ("method=\0", "is not valid YAML"),
     ],
@@ -275,6 +279,7 @@ def test_bad_settings(run, bag, assignment, said):
     ("content", "said"),
     [
         (b"splines_d: 3", "In file.yaml: splines_d is 3: it must be at least 4"),
+        (b"spline_d: 8", "'spline_d' in file.yaml does not exist: did you mean 'splines_d'?"),
         (b"splines_d: [", "cannot be read"),
         (b"{}\n---\n{}", "cannot be read"),
     ],

@@ -166,6 +166,12 @@ def test_without_a_truth_there_is_no_score(fitted):
     assert tree["warnings"] == list(fitted.drive.report.warnings)
 
 
+def test_equal_results_are_equal_files(written, fitted, tmp_path):
+    write_results(tmp_path / "again", fitted.drive, fitted.provenance)
+    for name in ("identification.json", "flux_map.npz"):
+        assert (tmp_path / "again" / name).read_bytes() == (written / name).read_bytes()
+
+
 def test_earlier_results_are_replaced_and_other_files_stay(written, fitted):
     (written / "notes.txt").write_text("mine")
     first = (written / "flux_map.npz").read_bytes()

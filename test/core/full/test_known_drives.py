@@ -194,3 +194,10 @@ def test_a_clock_that_runs_much_faster_is_refused():
     """Lost samples were named."""
     with pytest.raises(DataError, match=r"the voltages come ever later, by \d+ ppm"):
         fitted(late(drive(), lambda t: 1.8e-4 * t, "u_abc"))
+
+
+@pytest.mark.accuracy
+def test_lateness_that_does_not_drift_counts_too():
+    """Of 6 samples at the end, half pass for a filter of the currents."""
+    with pytest.raises(DataError, match=r"The clock of the currents is some 1[45]\d ppm fast"):
+        fitted(late(drive(), lambda t: 1.5e-4 * t, "i_abc"))

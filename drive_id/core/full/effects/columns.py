@@ -147,7 +147,7 @@ class EffectColumns:
             link=self.link,
             course=ends.elapsed / np.maximum(end - begin, TINY),
             ripple=self.ripple,
-            filter=max(float(self._value("current_latency")[0]), 0.0),
+            filter=max(self.late_currents, 0.0),
             delay=self.delay,
         )
 
@@ -168,6 +168,11 @@ class EffectColumns:
     def _drops(self) -> FloatArray:
         """Return the coefficients (S, 3) of the shapes of each phase's drop, V."""
         return self.estimate[self.model.phase_columns()]
+
+    @property
+    def late_currents(self) -> float:
+        """Time by which the currents are late, s."""
+        return float(self._value("current_latency")[0])
 
     def _value(self, name: str) -> FloatArray:
         return self.estimate[self.model.effect(name)]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from drive_id.common.origins import METHODS, ORIGINS
 from drive_id.common.quantity import counted
 from drive_id.common.settings import Checked, setting
+from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.errors import ConfigurationError
 
 _MOST_FUNCTIONS = 1024  # of the paper's regression: memory grows with their square
@@ -131,6 +132,15 @@ class FitSettings(Checked):
                     f"{name} has {counted(given, 'entry', 'entries')} for "
                     f"{counted(count, 'recording')}: give one for each, in order."
                 )
+
+    def conditions(self, number: int) -> tuple[float, float]:
+        """Return by how much the winding of a recording is above the reference, K, and its DC link over the reference.
+
+        Raises ConfigurationError when temperatures or DC-link voltages are set, but none for this recording.
+        """
+        one = self.of_recording(number)
+        heating = one.temperatures[0] - REFERENCE_TEMPERATURE if one.temperatures else 0.0
+        return heating, one.u_dc[0] / one.u_dc_reference if one.u_dc and one.u_dc_reference else 1.0
 
     def of_recording(self, number: int) -> FitSettings:
         """Return the settings for one recording that will be merged with others.

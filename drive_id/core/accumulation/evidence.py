@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from drive_id.common.messages import Message
 from drive_id.common.origins import ORIGINS
-from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.core import frames
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.maps.coverage import FLUX_CELLS, Visits, disc_coverage
@@ -170,11 +169,9 @@ class Evidence:
         """
         if self.information is not None:
             self.information.next_recording()
-        one = self.settings.of_recording(self._recordings)
-        heating = one.temperatures[0] - REFERENCE_TEMPERATURE if one.temperatures else 0.0
-        drop_scale = one.u_dc[0] / one.u_dc_reference if one.u_dc and one.u_dc_reference else 1.0
+        conditions = self.settings.conditions(self._recordings)
         if self.windows is not None:
-            self.windows.next_recording(heating, drop_scale)
+            self.windows.next_recording(*conditions)
         self._recordings += 1
 
     def _beyond(self, samples: Samples, i_dq: FloatArray) -> int:

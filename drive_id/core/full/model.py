@@ -14,7 +14,7 @@ Every variant of the model is a sparse matrix T from the unknowns to the columns
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -273,6 +273,14 @@ class FullModel:
             for of_end in zip(column, value, turn, factor, strict=True):
                 add_end(*of_end, start, t.indptr, t.indices, t.data, out)
         return out if windows.weight is None else out * np.sqrt(windows.weight)[:, None, None]
+
+    def by_conditions(self, windows: Terms, estimate: FloatArray) -> ComplexArray:
+        """Return what temperatures and the DC link add (N,) to the balance at their references, Vs."""
+        zero = np.zeros(len(windows))
+        reference = replace(windows, heating=zero, magnet_heating=zero, drop_scale=zero + 1)
+        added = self._beside_flux(windows) - self._beside_flux(reference)
+        pairs = added @ estimate[: added.shape[2]]
+        return np.asarray(pairs[:, 0] + 1j * pairs[:, 1])
 
     def map_squares(self, windows: Terms) -> float:
         """Return the sum of the squares of the columns of a free map."""

@@ -144,6 +144,11 @@ class Terms:
         return np.asarray(self.held * np.exp(1j * samples * self.speed * self.period[:, None]))
 
     @property
+    def conditioned(self) -> bool:
+        """Whether a temperature or the DC link differs from its reference."""
+        return bool(self.heating.any() or self.magnet_heating.any() or (self.drop_scale != 1).any())
+
+    @property
     def weights(self) -> FloatArray:
         """Weights (N,) of the squared residuals."""
         return np.ones(len(self)) if self.weight is None else self.weight

@@ -307,22 +307,26 @@ def _by_residuals(spread: FloatArray, inside: BoolArray) -> FloatArray:
 
 
 def _effect_voltages(evidence: Evidence, fit: FullFit) -> EffectVoltages | None:
-    if not fit.spec.effects:
-        return None
     search = fit.selection.search
+    kept = search.sums.kept()
+    if not (fit.spec.effects or any(windows.conditioned for windows in kept)):
+        return None
     columns = replace(search.found.columns, estimate=fit.solution.estimate)
-    recordings = 1 + max(int(windows.recording.max()) for windows in search.sums.kept())
+    recordings = 1 + max(int(windows.recording.max()) for windows in kept)
+    conditions = [evidence.settings.conditions(number) for number in range(recordings)]
+    alike = len(set(conditions)) == 1
     of_recordings = [name for name in fit.spec.effects if CATALOGUE[name].of_recordings]
     simulated = not any(CATALOGUE[name].of_recorded_runs for name in fit.spec.effects)
 
     def voltages(pieces: Sequence[Samples]) -> tuple[list[FloatArray], bool]:
         whole = len(pieces) == recordings and sum(len(piece) for piece in pieces) >= evidence.samples
-        if whole or not of_recordings:
-            return columns.voltages(pieces, _AVERAGED), simulated
+        known = conditions if whole else len(pieces) * conditions[:1]
+        if whole or (alike and not of_recordings):
+            return columns.voltages(pieces, _AVERAGED, known), simulated
         estimate = columns.estimate.copy()
         for name in of_recordings:
             estimate[fit.model.effect(name)] = 0.0
-        return replace(columns, estimate=estimate).voltages(pieces, _AVERAGED), False
+        return replace(columns, estimate=estimate).voltages(pieces, _AVERAGED, known), False
 
     return voltages
 

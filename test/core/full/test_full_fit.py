@@ -540,6 +540,7 @@ def test_temperatures_separate_winding_and_magnet():
     coefficient, sigma = found.magnet_coefficient
     assert coefficient == pytest.approx(-0.004 / 80, abs=max(5 * sigma, 5e-7))
     assert np.all(errors(found) < 2e-3)
+    assert max(found.report.mad_d, found.report.mad_q) < 0.3  # the simulated machine is as warm as the recorded one
 
 
 def test_the_drop_scales_with_the_dc_link():
@@ -547,6 +548,7 @@ def test_the_drop_scales_with_the_dc_link():
     high = record(drop=lambda i: 1.5 * even_drop(i), duration=3.0, noise=0.3, speed=-260.0)
     found = identify([low, high], replace(FULL, u_dc=(400.0, 600.0)))
     np.testing.assert_allclose(found.inverter_voltage[-20:], 4.0, rtol=0.02)
+    assert max(found.report.mad_d, found.report.mad_q) < 0.3
 
 
 def disturbed(samples, share):

@@ -227,8 +227,10 @@ class EffectColumns:
         turning = [CATALOGUE[name].turned(at, value) for name, value in self._present()]
         return np.asarray(sum(turning, np.zeros(at.turn.shape)), np.float64)
 
-    def voltages(self, recordings: Sequence[Samples], length: int) -> list[FloatArray]:
-        """Return the phase voltages (N, 3) caused by the effects of the drive, V.
+    def voltages(
+        self, recordings: Sequence[Samples], length: int, conditions: Sequence[tuple[float, float]]
+    ) -> list[FloatArray]:
+        """Return the phase voltages (N, 3) caused by the effects of the drive, its temperatures and its DC link, V.
 
         Without those of its current sensors, and without those whose phase holds for the recorded runs only.
 
@@ -238,17 +240,21 @@ class EffectColumns:
             The whole ones, unless the estimate has no effect ``of_recordings``.
         length : int
             Samples over which the voltage is averaged.
+        conditions : sequence of (float, float)
+            Of each recording, see :meth:`~drive_id.core.fit_settings.FitSettings.conditions`.
         """
         cutter, out, estimate = WindowCutter(self.model.shapes), [], self.estimate.copy()
         for name, effect in CATALOGUE.items():
             if effect.of_sensors or effect.of_recorded_runs:
                 estimate[self.model.effect(name)] = 0.0
         of_drive = replace(self, estimate=estimate)
-        for number, samples in enumerate(recordings):
+        for number, (samples, own) in enumerate(zip(recordings, conditions, strict=True)):
             cutter.restart(0.0, number)
+            cutter.set_conditions(*own)
             voltage = np.zeros(len(samples), np.complex128)
             for start, windows in cutter.adjacent(samples, length):
-                taken = of_drive(windows.accelerated()) @ estimate[self.model.effects] / windows.duration
+                taken = of_drive(windows.accelerated()) @ estimate[self.model.effects]
+                taken = (taken + self.model.by_conditions(windows, estimate)) / windows.duration
                 voltage[start : start + length * len(taken)] = np.repeat(taken, length)
             out.append(frames.phases(voltage))
         return out

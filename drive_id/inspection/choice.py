@@ -172,7 +172,7 @@ def _in_rotor(found: PhaseGroup, *, exchanged: bool) -> PhaseGroup:
 def _far_better(choice: Choice, groups: Sequence[PhaseGroup], tables: Sequence[Table]) -> Choice:
     """Return the choice of these currents and voltages where they explain far more, in order; else the one before."""
     i, u = groups
-    other = _read(i, u, choice.angle, dc_link(tables, (*i.group.names, *u.group.names, choice.angle.name)))
+    other = _read(i, u, choice.angle, dc_link(tables, u, (*i.group.names, choice.angle.name)))
     straight = other is not None and other.reading.voltage_order == (0, 1, 2) and other.reading.voltage_sign > 0
     far = _BETWEEN * choice.reading.unexplained
     return other if other and straight and other.reading.unexplained < far else choice
@@ -326,7 +326,7 @@ def _chosen(
     pairs.sort(key=lambda pair: current_points(pair[0]) + voltage_points(pair[1]), reverse=True)
     best: tuple[float, Choice] | None = None
     for (i, u), angle in islice(product(pairs, angles[:3]), _MOST_TRIED):
-        found = _read(i, u, angle, dc_link(tables, (*i.group.names, *u.group.names, angle.name)))
+        found = _read(i, u, angle, dc_link(tables, u, (*i.group.names, angle.name)))
         if found is None:
             continue
         left = found.reading.unexplained

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -40,9 +41,13 @@ _DATES = (1e18, 3e18)
 """Nanoseconds since 1970 from 2001 to 2065, as dates are read: no other quantity of a log is as large."""
 _DAYS = (30_000.0, 80_000.0)
 """Days since 1900 of serial dates from 1982 to 2119, as spreadsheets write them."""
+_USUAL_UNITS = ("s", "ms", "us", "ns")
+"""Units that a time may have though nothing states one."""
 _DAY = "d"
 _TICKS = STAMP_UNITS | {_DAY: 8.64e13}
 """ns in the units of a time."""
+_IN_BRACKETS = re.compile(r"[\[(] *(min|h) *[\])]$")
+"""Long units of a time, which no other quantity has in brackets."""
 _BITS = (16, 24, 32)
 """Widths of timers whose count starts again."""
 _MEANINGS = ("angle", "speed", "current", "voltage", "reference")
@@ -111,7 +116,8 @@ def regular_stamps(table: Table) -> IntArray:
 
 def stamp_unit(table: Table, name: str) -> str:
     """Return the unit of a time that the log or its name states; empty if neither does."""
-    unit = "".join(stated_unit(name, table.unit(name)))
+    long = _IN_BRACKETS.search(name)
+    unit = long[1] if long else "".join(stated_unit(name, table.unit(name)))
     return unit if unit in STAMP_UNITS else ""
 
 
@@ -149,7 +155,7 @@ def time_column(table: Table) -> TimeColumn | None:
             return TimeColumn(name)
         period, said, whole = _mean_step(x), stamp_unit(table, name), is_whole(x)
         days = bool(not said and _DAYS[0] < x.min() and x.max() < _DAYS[1])
-        units = [said] if said else [*["s"] * (not whole), *sorted(STAMP_UNITS, key=partial(_unlikely, period))]
+        units = [said] if said else [*["s"] * (not whole), *sorted(_USUAL_UNITS, key=partial(_unlikely, period))]
         for unit in [*units, *[_DAY] * days]:
             tick = _TICKS[unit]
             sure = bool(said) or not whole or _DATES[0] < x.min() * tick < _DATES[1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -18,6 +18,7 @@ from drive_id.inspection.choice import TURNS, Choice, blank_columns, choose
 from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, TimeColumn, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import (
+    doubtful_unit,
     is_temperature,
     listed,
     name_groups,
@@ -28,7 +29,15 @@ from drive_id.inspection.names import (
     unit_scale,
     words,
 )
-from drive_id.inspection.points import PhaseGroup, dc_link, is_named_link, unit_factor
+from drive_id.inspection.points import (
+    PhaseGroup,
+    current_points,
+    dc_link,
+    is_named_link,
+    rival_links,
+    unit_factor,
+    voltage_points,
+)
 from drive_id.inspection.scales import LARGEST_SHARE, full_scale, is_whole, may_be_half, open_scale, zero_reading
 from drive_id.inspection.static_draft import is_slow, static_draft
 from drive_id.types import FloatArray
@@ -68,8 +77,14 @@ _RESOLVERS = {"resolver", "res", "rdc", "rslv"}
 """Words of a sensor that may have several pole pairs of its own."""
 _RPM = {"rpm", "min", "umin", "n", "drehzahl"}
 """Words of a speed in rpm: of six times as many pole pairs, it would be in degrees per second."""
-_WINDING = {"winding", "wicklung", "stator", "copper", "coil"}
+_WINDING = {"winding", "wdg", "wicklung", "stator", "copper", "coil"}
 """Words of what has the temperature of a winding."""
+_NO_READING = {"limit", "max", "min", "warn", "warning", "set", "setpoint", "ref", "trip"}
+"""Words of a temperature that is a setting."""
+_TO_CELSIUS = {"K": (1.0, -273.15), "°F": (5 / 9, -160 / 9)}
+"""Factor and offset from units of a temperature to degrees Celsius."""
+_PART_OF_LINK = {"half", "plus", "minus", "pos", "neg", "upper", "lower", "mid"}
+"""Words of a part of the DC link, between a rail and its middle."""
 _COLDEST, _HOTTEST = -60.0, 250.0
 """Temperatures of windings, degrees Celsius."""
 _GAP = 1.5
@@ -125,14 +140,14 @@ class _DraftText:
         self._period = choice.currents.table.period or 0.0
         taken = (*choice.currents.group.names, *choice.voltages.group.names, choice.angle.name)
         self._taken = {*taken, choice.angle.table.stamp_source}
-        self._link = dc_link(tables, taken)
+        self._link = dc_link(tables, choice.voltages, taken)
         self._taken |= {self._link[1]} if self._link is not None else set()
+        self._rival_links = rival_links(tables, self._link, (*taken, choice.angle.table.stamp_source))
         self.unexplained = choice.reading.unexplained
 
     def draft(self) -> Draft:
         """Return the proposal."""
         body = [*self._currents(), "", *self._voltages(), "", *self._rotor(), *self._reference(), *self._optional()]
-        self._tell_rivals()
         if blank := blank_columns(self._contents):
             self._unsure.append(f"The log holds {blank}.")
         left = self.unexplained
@@ -144,24 +159,29 @@ class _DraftText:
         remark = f"A rough machine model explains all but {100 * left:.2g} % of the voltage with it."
         return _draft(self._contents, remark, body, self._unsure)
 
-    def _tell_rivals(self) -> None:
-        """Say which further columns are named for currents or voltages, as of another drive, or measured ones."""
-        choice = self._choice
-        for meaning, found, needed in (
-            ("current", choice.currents, ""), ("voltage", choice.voltages, ": a fit needs the commanded ones")
-        ):  # fmt: skip
-            others = [
-                ", ".join(group.names)
-                for table in self._tables
-                for group in name_groups([name for name, x in table.columns.items() if np.ptp(x) > 0])
-                if group.frame == found.group.frame and suggests(group.stem, meaning) and len(group.names) > 1
-                and not (meaning == "current" and suggests(group.stem, "reference"))
-                and not self._taken & {*group.names}
-            ]  # fmt: skip
-            if others:
-                self._unsure.append(
-                    f"{others[0]} are named for {meaning}s, too; {', '.join(found.group.names)} were taken{needed}."
-                )
+    def _mark_of_rivals(
+        self, meaning: str, found: PhaseGroup, points: Callable[[PhaseGroup], float], needed: str = ""
+    ) -> str:
+        """Say which further columns are named for currents or voltages, as of another drive, or measured ones.
+
+        Return the mark of a guess where names do not tell them apart.
+        """
+        others = [
+            PhaseGroup(table, group, np.column_stack([table.columns[name] for name in group.names]))
+            for table in self._tables
+            for group in name_groups([name for name, x in table.columns.items() if np.ptp(x) > 0])
+            if group.frame == found.group.frame and suggests(group.stem, meaning) and len(group.names) > 1
+            and not (meaning == "current" and suggests(group.stem, "reference"))
+            and not self._taken & {*group.names}
+        ]  # fmt: skip
+        if not others:
+            return ""
+        rival = max(others, key=points)
+        names = ", ".join(rival.group.names)
+        self._unsure.append(
+            f"{names} are named for {meaning}s, too; {', '.join(found.group.names)} were taken{needed}."
+        )
+        return f"   # EDIT: or {printable(names)}, named alike" if points(rival) >= points(found) else ""
 
     def _source(self, table: Table) -> list[str]:
         """Return the settings that give the place and time of a table's samples."""
@@ -213,7 +233,8 @@ class _DraftText:
 
     def _currents(self) -> list[str]:
         i = self._choice.currents
-        lines = [f"  fields: {i.group.fields(i.signs)}", *_frame(i)]
+        mark = self._mark_of_rivals("current", i, current_points)
+        lines = [f"  fields: {i.group.fields(i.signs)}{mark}", *_frame(i)]
         zero, largest = zero_reading(i), float(np.abs(i.values).max())
         factor, open_ = i.unit_factor or 1.0, open_scale(i.values, i.unit_factor, "A", i.group.frame)
         open_ += _other_unit(i, "A")
@@ -251,7 +272,8 @@ class _DraftText:
                 )
         if u.group.frame == "line_to_line" and u.group.frame not in {group.frame for group in name_groups(names)}:
             self._unsure.append(f"{', '.join(names)} explain far more as voltages between phases, ab, bc and ca.")
-        lines = [f"  fields: {replace(u.group, names=names).fields()}", *_frame(u)]
+        mark = self._mark_of_rivals("voltage", u, voltage_points, ": a fit needs the commanded ones")
+        lines = [f"  fields: {replace(u.group, names=names).fields()}{mark}", *_frame(u)]
         full = full_scale(u)
         if full:
             lines.append(self._duty_scale(u, full))
@@ -311,9 +333,10 @@ class _DraftText:
             said = "; ".join([f"{wanted}, V, for duty cycles from {range_}", *open_])
             return f"  scale: {_ASSUMED_LINK / full:g}  # EDIT: {said}"
         table, name = self._link
+        factor, of_link = _link_scale(self._link, self._rival_links)
         if not is_named_link(table, name):
             self._unsure.append(f"{name} was taken for the DC-link voltage by its values, not by its name.")
-        factor, of_link = _link_scale(table, name)
+            of_link = [*of_link, f"{printable(name)} was taken for the DC link by its values, not by its name"]
         source = [*([] if table is u.table else self._source(table)), f"field: {quoted(name)}"]
         source += [] if factor == full and not of_link else [f"scale: {factor / full:g}"]
         open_ = [*of_link, *open_]
@@ -508,7 +531,7 @@ class _DraftText:
         if self._link is None or not is_named_link(*self._link):
             return []
         table, name = self._link
-        factor, open_ = _link_scale(table, name)
+        factor, open_ = _link_scale(self._link, self._rival_links)
         follows = "R and map depend on it" if full_scale(self._choice.voltages) else "torque over speed depends on it"
         scale = [f"  {line}" for line in self._scale("DC-link voltage", f"{factor:g}", open_, follows)]
         return ["  dc_link_voltage:", *self._scalar(table, name), *scale]
@@ -518,16 +541,18 @@ class _DraftText:
         for table in self._tables:
             for name, x in table.columns.items():
                 unit = table.unit(name)
-                kelvin = unit_scale(name, unit)[1] == "K"
-                celsius = x - 273.15 * kelvin
+                scale, offset = _TO_CELSIUS.get(unit_scale(name, unit)[1], (1.0, 0.0))
+                celsius = scale * x + offset
                 if (
                     is_temperature(name, unit)
                     and words(name) & _WINDING
+                    and not words(name) & _NO_READING
                     and name not in self._taken
                     and np.all((celsius > _COLDEST) & (celsius < _HOTTEST))
                 ):
-                    offset = ["    offset: -273.15"] if kelvin else []
-                    return ["  winding_temperature:", *self._scalar(table, name), *offset]
+                    lines = [f"    scale: {scale:.6g}"] if scale != 1 else []
+                    lines += [f"    offset: {offset:.6g}"] if offset else []
+                    return ["  winding_temperature:", *self._scalar(table, name), *lines]
         return []
 
     def _scalar(self, table: Table, name: str) -> list[str]:
@@ -537,18 +562,31 @@ class _DraftText:
 
 
 def _other_unit(found: PhaseGroup, unit: str) -> list[str]:
-    """Return what is open about the scale of columns that state a unit of something else, such as %."""
-    names = found.group.names
-    of_another = unit_factor(found.table, names, "AV") == 0
-    said = "".join(stated_unit(names[0], found.table.unit(names[0])))
-    return [f"{unit} per {said}, the unit that their names state"] if of_another else []
+    """Return what is open about the scale of columns that state a unit of something else, or one that may be a word."""
+    name = found.group.names[0]
+    of_another = unit_factor(found.table, found.group.names, unit) == 0
+    said = "".join(stated_unit(name, found.table.unit(name)))
+    open_ = [f"{unit} per {said}, the unit that their names state"] if of_another else []
+    if doubtful := doubtful_unit(name):
+        open_.append(f"1, if {doubtful} in the names is no unit")
+    if any(word.endswith("rms") for word in words(f"{name} {found.table.unit(name)}")):
+        open_.append("1.41421, if these are rms values, as their names state")
+    return open_
 
 
-def _link_scale(table: Table, name: str) -> tuple[float, list[str]]:
-    """Return the factor from the column of the DC link to V, and what is open about it."""
+def _link_scale(link: tuple[Table, str], rivals: Sequence[str]) -> tuple[float, list[str]]:
+    """Return the factor from the column of the DC link to V, and what is open about it beside columns like it."""
+    table, name = link
     x, factor = table.columns[name], unit_factor(table, (name,), "V")
     setting = np.ptp(x) == 0 and x[0] <= _LARGEST_LINK  # in V, as it was typed
-    return factor or 1.0, [] if setting else open_scale(x, factor, "V")
+    open_ = [] if setting else open_scale(x, factor, "V")
+    if part := words(name) & _PART_OF_LINK:
+        open_.append(f"it may be a part of the link, as its name says: {min(part)}")
+    if doubtful := doubtful_unit(name):
+        open_.append(f"1, if {doubtful} in the name is no unit")
+    if rivals:
+        open_.append(f"or {' or '.join(map(printable, rivals))}, named for a DC link as well")
+    return factor or 1.0, open_
 
 
 def _frame(found: PhaseGroup) -> list[str]:

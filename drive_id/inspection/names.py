@@ -29,7 +29,10 @@ _UNITS_IN_NAMES = (  # I1 [mA], I1/mA, I1 [0.1A]; I1_mA, I1 in mA, or the unit a
     re.compile(rf"[\[({{</] *(?:(?P<factor>\d*[.,]?\d+) ?\*? ?)?{_UNIT} *[\])}}>]?(?: \(\d+\))?$", re.IGNORECASE),
     re.compile(rf"(?:^|[_ ]){_UNIT}(?: \(\d+\))?$"),
     re.compile(r"^(?P<prefix>[nuµm])(?P<base>s)_"),
+    re.compile(r"(?:^|[_ ])(?P<prefix>[mk])(?P<base>[AVav])(?=[_ \[]|$)"),  # cur_mA_a, phase_current_ma[0]
 )
+_DOUBTFUL = re.compile(r"(?:^|[_ ])(ma|ka|mv|kv)(?=[_ \[]|$)")
+"""Units in small letters, which may be words: ``ia_ma`` is a current in mA, or a moving average."""
 FACTORS = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 """Factor to the base of a unit by its prefix."""
 _MEASURED = {"meas", "measured", "mes", "ist", "act", "actual", "fb", "feedback", "sensed"}
@@ -46,6 +49,12 @@ _DERIVED = {
     "estimate",
     "estimated",
     "smooth",
+    "hat",
+    "ff",
+    "feedforward",
+    "pi",
+    "emf",
+    "bemf",
 }
 _TEMPERATURE = {"temp", "temperature", "temperatur", "ntc", "pt", "thermo"}
 _LABVIEW_TIME = "x_value"
@@ -101,7 +110,7 @@ def is_derived(name: str) -> bool:
 def is_temperature(name: str, given: str = "") -> bool:
     """Tell whether a name, or the unit that the log gives, says that what it holds is a temperature."""
     unit = _stated(name, given)[2]
-    degrees = unit in ("°C", "K") or (unit == "C" and not name.endswith("_C"))  # which may be a phase
+    degrees = unit in ("°C", "°F", "K") or (unit == "C" and not name.endswith("_C"))  # which may be a phase
     return bool(words(name) & _TEMPERATURE) or degrees or name.startswith("T_")
 
 
@@ -113,6 +122,12 @@ def stated_unit(name: str, given: str = "") -> tuple[str, str]:
     """
     number, prefix, base = _stated(name, given)
     return (prefix, base) if number == 1 else ("", "")
+
+
+def doubtful_unit(name: str) -> str:
+    """Return the unit in a name that may be a word: ``ma`` in ``ia_ma``; empty if there is none."""
+    found = _DOUBTFUL.search(name)
+    return found[1] if found else ""
 
 
 def unit_scale(name: str, given: str = "") -> tuple[float, str]:

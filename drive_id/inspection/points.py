@@ -106,6 +106,8 @@ def angle_points(found: AngleColumn) -> float:
     return points - _PREFERRED * is_derived(found.name)
 
 
+_SAME_LINK = 0.01
+"""Relative difference of the means of columns up to which it matters little which one is the DC link."""
 _LINK_NAMED = 2.0
 """Points for each hint of the name: no other meaning is confused with it."""
 _LINK_VOLTAGE = 1.0
@@ -114,16 +116,40 @@ _LINK_ALONE = 0.5
 """Points for the values alone: a steady positive number of some size."""
 
 
-def dc_link(tables: Sequence[Table], others: Collection[str] = ()) -> tuple[Table, str] | None:
+def dc_link(tables: Sequence[Table], u: PhaseGroup, others: Collection[str] = ()) -> tuple[Table, str] | None:
     """Return the column that looks like the DC-link voltage, by its name, or else by its values alone.
 
-    ``others`` are known to be something else.
+    Of equals, it is the one whose name begins most like that of the voltages ``u``; ``others`` are known to be
+    something else.
     """
+    own = f"{u.table.name} {u.group.names[0]}"
     found = [
-        (_link_points(table, name), table, name) for table in tables for name in table.columns if name not in others
+        (_link_points(table, name), _begin_alike(own, f"{table.name} {name}"), table, name)
+        for table in tables
+        for name in table.columns
+        if name not in (*u.group.names, *others)
     ]
-    points, table, name = max(found, key=lambda entry: entry[0], default=(0.0, None, ""))
+    points, _, table, name = max(found, key=lambda entry: entry[:2], default=(0.0, 0, None, ""))
     return (table, name) if table is not None and points > 0 else None
+
+
+def _begin_alike(one: str, other: str) -> int:
+    """Return how many letters two names have in common at their begin."""
+    return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
+
+
+def rival_links(tables: Sequence[Table], link: tuple[Table, str] | None, others: Collection[str]) -> list[str]:
+    """Return the columns that are named for a DC link as well, with another voltage, as of another drive."""
+    if link is None:
+        return []
+    chosen = float(link[0].columns[link[1]].mean())
+    return [
+        name
+        for table in tables
+        for name, x in table.columns.items()
+        if name not in (*others, link[1]) and suggests(name, "dc") and _link_points(table, name) > 0
+        and abs(float(x.mean()) / chosen - 1) > _SAME_LINK
+    ]  # fmt: skip
 
 
 def is_named_link(table: Table, name: str) -> bool:

@@ -102,6 +102,7 @@ WRONG = {
     "generator sign": ("current_sign", lambda s: {"i_abc": -s.i_abc}),
     "offset": ("angle_offset", lambda s: {"angle": s.angle + 0.8}),
     "milliamperes": ("current_scale", lambda s: {"i_abc": 1e3 * s.i_abc}),
+    "kelvin": ("temperature_range", lambda s: {"winding_temperature": np.full(len(s), 353.0)}),
     "millivolts": ("voltage_scale", lambda s: {"u_abc": 1e3 * s.u_abc}),
     "currents for voltages": ("exchanged", lambda s: {"i_abc": s.u_abc, "u_abc": s.i_abc, "i_dq_reference": None}),
     "alpha and beta": ("alpha_beta", lambda s: {"u_abc": as_phases(frames.space_vector(s.u_abc))}),

@@ -168,3 +168,92 @@ def test_references_in_rms_or_in_milliamperes_are_references(factor, samples, tm
     found, draft, _ = drafted(samples, tmp_path, **wanted)
     assert draft.unsure == ()
     assert np.abs(found.i_dq_reference - samples.i_dq_reference[: len(found)]).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("current", "voltage", "said"),
+    [
+        ("i{}_ma", "u{}_mv", "EDIT: 1, if ma in the names is no unit"), ("cur_mA_{}", "volt_mV_{}", ""),
+        ("i_ma[{}]", "u_mv[{}]", "EDIT: 1, if ma in the names is no unit"),
+    ],
+)  # fmt: skip
+def test_units_are_read_wherever_names_have_them(current, voltage, said, samples, tmp_path):
+    """In small letters they may be words. The motor was one of some 3000 A."""
+    renamed = dict.fromkeys((f"{name}{phase}" for name in "iu" for phase in "abc"), None)
+    for name, x in ((current, samples.i_abc), (voltage, samples.u_abc)):
+        renamed |= {name.format(k if "[" in name else "abc"[k]): 10 * x[:, k] for k in range(3)}
+    found, draft, _ = drafted(samples, tmp_path, **renamed)
+    assert np.abs(found.i_abc - 0.01 * samples.i_abc[: len(found)]).max() < 1e-3
+    assert np.abs(found.u_abc - 0.01 * samples.u_abc[: len(found)]).max() < 1e-3
+    assert ("EDIT" in draft.text) == bool(said)
+    assert said in draft.text
+
+
+@pytest.mark.parametrize(
+    ("suffix", "said"), [(" [V]", "A per V, the unit that their names state"), (" [Arms]", "1.41421, if these are rms")]
+)
+def test_currents_in_the_unit_of_something_else_are_a_guess(suffix, said, samples, tmp_path):
+    _, draft, warnings = drafted(samples, tmp_path, **phases(samples, "i", suffix))
+    assert said in draft.text
+    assert "guessed_setting" in [message.code for message in warnings]
+
+
+def duties(samples, **links):
+    """Return duty cycles of a link of 400 V in place of voltages, and columns about these values."""
+    rng = np.random.default_rng(0)
+    near = {name: value * (1 + 1e-4 * rng.standard_normal(len(samples))) for name, value in links.items()}
+    own = {f"drive2_duty_{phase}": 0.5 + x / 400.0 for phase, x in zip("abc", samples.u_abc.T, strict=True)}
+    return dict.fromkeys(("ua", "ub", "uc")) | own | near
+
+
+@pytest.mark.parametrize(
+    ("links", "said"),
+    [
+        ({"Vdc_half": 200.0}, "as its name says: half"), ({"Udc_plus": 200.0, "Udc_minus": -200.0}, "plus"),
+        ({"U_24V": 24.1}, "U_24V was taken for the DC link by its values"),
+        ({"drive1_udc": 320.0, "drive2_udc": 400.0}, "or drive1_udc, named for a DC link as well"),
+    ],
+)  # fmt: skip
+def test_a_link_that_may_be_another_voltage_is_a_guess(links, said, samples, tmp_path):
+    """R and flux were half, silently, or a sixteenth."""
+    found, draft, warnings = drafted(samples, tmp_path, **duties(samples, **links))
+    assert said in draft.text
+    assert "guessed_setting" in [message.code for message in warnings]
+    if "drive2_udc" in links:
+        off = frames.space_vector(found.u_abc) - frames.space_vector(samples.u_abc[: len(found)])
+        assert np.abs(off).max() < 0.5
+
+
+def test_a_link_that_is_named_leaves_nothing_open(samples, tmp_path):
+    _, draft, _ = drafted(samples, tmp_path, **duties(samples, u_dc=400.0))
+    assert "EDIT" not in draft.text
+
+
+@pytest.mark.parametrize("suffix", ["_ff", "_pi", "_hat"])
+def test_parts_of_a_voltage_are_not_taken_for_it(suffix, samples, tmp_path):
+    others = phases(samples, "u", suffix, 0.9)
+    voltages = {f"u{phase}": x for phase, x in zip("abc", samples.u_abc.T, strict=True)}
+    _, draft, _ = drafted(samples, tmp_path, **(others | voltages))
+    assert "fields: [ua, ub, uc]\n" in draft.text
+
+
+def test_voltages_that_names_do_not_tell_apart_are_a_guess(samples, tmp_path):
+    other = {f"u{phase}2": 0.9 * x for phase, x in zip("abc", samples.u_abc.T, strict=True)}
+    _, draft, _ = drafted(samples, tmp_path, **other)
+    assert re.search(r"fields: \[ua, ub, uc\] +# EDIT: or ua2, ub2, uc2, named alike", draft.text)
+
+
+@pytest.mark.parametrize(("unit", "seconds"), [("min", 60.0), ("h", 3600.0)])
+def test_a_time_may_be_in_minutes(unit, seconds, samples, tmp_path):
+    time = (samples.stamp - samples.stamp[0]) * 1e-9 / seconds
+    found, draft, _ = drafted(samples, tmp_path, time_s=None, **{f"Time [{unit}]": time})
+    assert found.sample_period == pytest.approx(samples.sample_period, rel=1e-4)
+    assert f"stamp_unit: {unit}" in draft.text
+
+
+def test_a_limit_is_no_temperature_and_fahrenheit_are_converted(samples, tmp_path):
+    rng = np.random.default_rng(1)
+    celsius = 100.0 + 0.05 * rng.standard_normal(len(samples))
+    table = {"T_winding_limit [degC]": np.full(len(samples), 155.0), "Temp_Wdg [°F]": 32 + 1.8 * celsius}
+    found, _, _ = drafted(samples, tmp_path, **table)
+    assert found.winding_temperature == pytest.approx(celsius[: len(found)], abs=0.01)

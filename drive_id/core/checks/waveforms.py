@@ -16,6 +16,7 @@ _LARGEST_DUTY = 2 / np.sqrt(3) * 1.005  # of half the DC link: the corner of the
 _LEAST_DROP = 0.15
 """Resistive drop at the largest current below which the voltages are taken for duty cycles, V."""
 _CURRENTS = (0.5, 5000.0)  # plausible amplitudes, A: drives up to 500 A in kA lie outside
+_TEMPERATURES = (-100.0, 300.0)  # degrees Celsius, of windings and magnets
 _LARGEST_VOLTAGE = 5000.0  # V, above which the voltages are taken for mV
 _SAME_SCALE = 1.3  # ratio of currents to references that a poor controller may have
 _LEAST_CORRELATION = 0.97  # of both, below which the controller does not follow and their ratio says nothing
@@ -62,6 +63,7 @@ def waveform_findings(runs: Sequence[Samples], i_max: float) -> Iterator[Message
         yield from _stuck(runs)
         yield from _clipped_currents(i_abc)
     yield from _scale(runs, i_max)
+    yield from _temperatures(runs)
     yield from _zero_sequence(i_abc, i_max)
     if not single:
         yield from _clipped_voltages(u_abc)
@@ -94,6 +96,15 @@ def _scale(runs: Sequence[Samples], i_max: float) -> Iterator[Message]:
     if not _CURRENTS[0] < i_max < _CURRENTS[1]:
         unit = "mA" if i_max > 1 else "kA or per unit"
         yield Message("current_scale.size", i_max=i_max, unit=unit)
+
+
+def _temperatures(runs: Sequence[Samples]) -> Iterator[Message]:
+    """Yield temperatures that no winding or magnet has, such as those in kelvin or degrees Fahrenheit."""
+    for part in ("winding", "magnet"):
+        known = np.concatenate([run.or_unknown(f"{part}_temperature") for run in runs])
+        far = known[(known < _TEMPERATURES[0]) | (known > _TEMPERATURES[1])]
+        if len(far):
+            yield Message("temperature_range", part=part, temperature=far[0])
 
 
 def _voltage_scale(u_abc: FloatArray) -> Iterator[Message]:

@@ -39,7 +39,7 @@ _LEAST_COMPENSATED = 0.2
 """Share of the drop from which on lagging columns are taken for a compensation."""
 _CURVE_POINTS = 201
 """Over [0, i_max], over which the means of drop and lag are taken."""
-_LEAST_HEATING = 5.0
+LEAST_HEATING = 5.0
 """Least range of magnet temperature for which the magnet's temperature coefficient is estimated, K."""
 _SEARCHES = 2
 """Most searches for further harmonics: strong ones hide weak ones."""
@@ -270,7 +270,7 @@ def _first_spec(sums: WindowSums, settings: FitSettings, turn: float) -> ModelSp
         orders,
         per_phase=settings.per_phase_inverter,
         penalty=PENALTIES[-2],
-        magnet=bool(np.ptp(heating) > _LEAST_HEATING),
+        magnet=bool(np.ptp(heating) > LEAST_HEATING),
         delay=0.0 if settings.calibrate_delay else settings.voltage_delay,
     )
 

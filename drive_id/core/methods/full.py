@@ -9,6 +9,7 @@ import numpy as np
 
 from drive_id.common.messages import Message
 from drive_id.common.origins import ORIGINS
+from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.full import calibration
 from drive_id.core.full.calibration import rotated
@@ -25,6 +26,7 @@ from drive_id.core.full.effects.effect import MOST_PARTS, Calibration, parts
 from drive_id.core.full.fit import EarlierFit, FullFit, fit_full
 from drive_id.core.full.linearized import DELAY
 from drive_id.core.full.model import MAGNET, RESISTANCE
+from drive_id.core.full.selection import LEAST_HEATING
 from drive_id.core.full.standard_errors import sigma as fitted_sigma
 from drive_id.core.full.window_sums import WindowSums
 from drive_id.core.full.windows import LONGEST_WINDOW, SHORT_ANGLE, WINDOW_ANGLE, Windows
@@ -434,6 +436,9 @@ def _statements(
     yield Message("linear_drop")
     gain = calibration.common_gain(calibrations)
     yield Message("common_gain.currents", share=gain) if gain else Message("common_gain")
+    warm = float(np.concatenate([windows.magnet_heating for windows in fit.selection.search.sums.kept()]).mean())
+    if abs(warm) > LEAST_HEATING and not fit.spec.magnet:
+        yield Message("map_temperature", temperature=REFERENCE_TEMPERATURE + warm, least=LEAST_HEATING)
     if fit.spec.lag:
         yield Message("compensation_lags")
     if fit.crossings > 1:

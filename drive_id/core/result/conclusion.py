@@ -27,6 +27,11 @@ if TYPE_CHECKING:  # takes 0.1 s, which methods psm and joint do without
     from drive_id.core.full.fit import EarlierFit
 
 
+_CONTINUED = 1.1
+"""Ratio of the largest current to i_max up to which the simulated current judges the model: the map goes on linearly,
+which is 0.4 % of i_max then, and 5 % at 1.5."""
+
+
 @dataclass(frozen=True, eq=False)
 class Conclusion:
     """An identified drive, and what a conclusion from further samples takes over besides its MAD: the selection."""
@@ -61,6 +66,7 @@ def concluded(evidence: Evidence, validation: Sequence[Samples], earlier: Conclu
         mad, complete, simulated = (known.mad_d, known.mad_q), earlier.judged, earlier.drive.simulated
     else:
         mad, complete, simulated = _mad(validation, estimate)
+        complete = complete and evidence.reached <= _CONTINUED * evidence.i_max
     judged = mad if complete else (0.0, 0.0)
     if impossible := condemned(evidence, estimate, judged, method.limits):
         raise UnexplainedError(impossible)

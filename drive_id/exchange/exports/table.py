@@ -232,11 +232,13 @@ class MapTable:
         """Sentences on where the table is from, its units, and its error."""
         result = self.result
         since = f" of {result.provenance.date}" if result.provenance.date else ""
+        held = result.provenance.temperature
+        of_winding = "" if held is None else f" R is that at {held:g} degrees Celsius."
         off, largest = self.interpolation_error, float(np.nanmax(np.hypot(*self.psi)))
         return (
             f"Written by drive_id {VERSION}: result{since} by method {result.method}. Units: A and V "
             f"(peak), Wb, H, ohm, Nm. Between the points, bilinear interpolation is off by at most {off:.2g} Wb "
-            f"({100 * off / largest:.2g} % of the largest flux). {self.fold}".rstrip()
+            f"({100 * off / largest:.2g} % of the largest flux).{of_winding} {self.fold}".rstrip()
         )
 
     def facts(self) -> dict[str, str | float | int]:

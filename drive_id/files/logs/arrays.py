@@ -14,14 +14,12 @@ from drive_id.errors import NotABagError, TruncatedBagError
 from drive_id.files.inputs.archive import read_arrays
 from drive_id.files.inputs.input_file import open_input
 from drive_id.files.inputs.matlab import read_matlab
-from drive_id.files.logs.column_log import NUMBERS, Column, ColumnGroup, SlicedLog, typed
+from drive_id.files.logs.column_log import NUMBERS, UNIT_NAMES, Column, ColumnGroup, SlicedLog, typed
 from drive_id.files.storage.container import UnpackBudget
 
 _MOST_COLUMNS = 64  # of one array that are offered as signals
 _DECODED = "MATLAB_object_decode"
 """Attribute of the datasets of version 7.3 that stand for objects."""
-_UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
-"""Attributes of datasets that hold their unit."""
 _FEWEST_SIGNALS = 5
 """Columns of a recording at least: two currents, two voltages, and an angle or a speed."""
 _REMEDIES = {
@@ -42,9 +40,12 @@ class _HeldLog(SlicedLog):
     def __init__(self, path: Path, arrays: Mapping[str, Any]) -> None:
         self.path = path
         self._arrays: dict[str, NDArray[Any]] = {}
+        self._units: dict[str, Any] = {}  # what the file says of them
         for name, value in arrays.items():
             self._take(name, value)
-        self.groups = grouped({name: (str(array.dtype), len(array)) for name, array in self._arrays.items()})
+        self.groups = grouped(
+            {name: (typed(array.dtype, self._units.get(name, "")), len(array)) for name, array in self._arrays.items()}
+        )
 
     def _take(self, name: str, value: Any) -> None:
         array = np.asarray(value)
@@ -112,7 +113,9 @@ class MatLog(_HeldLog):
             label = str(fields.get(said, "")).rpartition("/")[2].strip()
             if label and data in fields:
                 own = f"{array.rpartition('.')[0] or array}.{label}"
-                self._take(own if own not in self._arrays else f"{name}.{label}", fields[data])
+                own = own if own not in self._arrays else f"{name}.{label}"
+                self._units[own] = next((fields[unit] for unit in UNIT_NAMES if unit in fields), "")
+                self._take(own, fields[data])
                 return
         for field, entry in fields.items():
             self._take(f"{name}.{field}", entry)
@@ -173,7 +176,7 @@ class Hdf5Log(SlicedLog):
     def _take(self, dataset: str, name: str, item: Any) -> None:
         def add(own: str, kind: Any, k: int | None = None, axis: int = 0) -> None:
             self._where[own] = (dataset, k, axis)
-            said = (item.attrs[name] for name in _UNIT_ATTRIBUTES if name in item.attrs)
+            said = (item.attrs[name] for name in UNIT_NAMES if name in item.attrs)
             self._lengths[own] = (typed(kind, *said), item.shape[axis])
 
         if item.dtype.names:

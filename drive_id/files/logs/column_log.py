@@ -33,8 +33,10 @@ _NAMES = {
     "mat73": "MATLAB",
 }
 """Names of kinds that are not those of the kinds in capitals, such as CSV."""
-UNIT = r"([nuµmk]?)(A|V|s|%|rad|deg|°|rev|rpm|min-1|1/min|U/min|rad/s|Hz|N ?m|°?C|K|W)"
+UNIT = r"([nuµmk]?)(A|V|s|%|rad|deg|°|rev|rpm|min-1|1/min|U/min|rad/s|Hz|N ?m|°?C|°F|K|W)"
 """Units of logs, by prefix and base."""
+UNIT_NAMES = ("unit", "units", "Unit", "Units")
+"""Names of what holds the unit of a column, beside its data."""
 _UNIT_WORDS = {"volt": "V", "volts": "V", "amp": "A", "amps": "A", "ampere": "A", "second": "s", "seconds": "s"}
 _MOST_NAMED = 12  # columns or groups in a message: two lines of a terminal
 _SECONDS = (

@@ -27,6 +27,8 @@ _MOSTLY = 0.9  # share of rows with a number, from which on a column holds numbe
 _TWINCAT = "Name"
 """First cell of the names in exports of TwinCAT Scope, which stands above each column of times, too."""
 _TICKS = 1e16  # from which on its times are 100 ns since 1601, not ms
+_UNITS = "unit"
+"""Word in the first cell of a line of units above the names, as LabVIEW and oscilloscopes write them."""
 _STEP, _LABVIEW = "Delta_X", "X_Value"
 """First cell of the lines of sample periods, s, and of names in LabVIEW measurement files."""
 
@@ -122,8 +124,9 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     step = next((row for row in rows[:header] if row and row[0].strip() == _STEP), ())
     period = _float(next(iter(step[1:]), "")) if 0 in blank else None
     unnamed = tuple(k for k in blank if not rows[header][k].strip() or (k == 0 and period))
-    units = [unit_of(cell) for cell in rows[header + 1]] if len(rows[header + 1]) == width else []
-    units = (header + 1 < first and units) or [""] * width
+    below = [rows[header + 1]] if header + 1 < first else []
+    stated = [["", *row[1:]] for row in rows[:header] if row and _UNITS in row[0].lower()]
+    units = next(([unit_of(cell) for cell in row] for row in (*below, *stated) if len(row) == width), [""] * width)
     dated = [sum(bool(_NUMBER.fullmatch(row[k])) for row in body) * 2 < sum(bool(row[k].strip()) for row in body)
              for k in range(width)]  # fmt: skip
     units = ["ns" if date else unit for unit, date in zip(units, dated, strict=True)]  # as which dates are read

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from itertools import islice
 from pathlib import Path
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from drive_id.errors import MessageTypeError
 from drive_id.files.inputs.input_file import open_input
-from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, Column, ColumnGroup, ColumnLog, Rows
+from drive_id.files.logs.column_log import NUMBERS, OWN_TIME, UNIT_NAMES, Column, ColumnGroup, ColumnLog, Rows, typed
 from drive_id.files.logs.csv_dialect import INFINITE, csv_dialect
 from drive_id.files.logs.log_kind import text_stream
 from drive_id.files.storage.container import UnpackBudget
@@ -167,7 +167,7 @@ class ArrowLog(FrameLog):
                 self._arrow, rows = ipc.open_file(stream), None
                 schema = self._arrow.schema
             self._open = stack.pop_all()
-        columns = {name: str(kind) for name, kind in zip(schema.names, schema.types, strict=True)}
+        columns = {field.name: typed(field.type, *_units(field.metadata or {})) for field in schema}
         self.groups = (ColumnGroup("", columns, rows),)
 
     def close(self) -> None:
@@ -186,6 +186,11 @@ class ArrowLog(FrameLog):
             batch = self._arrow.get_batch(k).select(names)
             for start in range(0, batch.num_rows, rows):
                 yield batch.slice(start, rows).to_pandas(ignore_metadata=True), (k + 1) / count
+
+
+def _units(metadata: Mapping[bytes, bytes]) -> list[bytes]:
+    """Return what the metadata of a field say of its unit."""
+    return [metadata[name.encode()] for name in UNIT_NAMES if name.encode() in metadata]
 
 
 def _flat(frame: Any) -> Any:

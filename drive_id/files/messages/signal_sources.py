@@ -19,7 +19,7 @@ from drive_id.files.messages.block_codec import LONGEST_PERIOD
 from drive_id.files.messages.field_path import parse_field_path
 from drive_id.types import SCALARS, FloatArray
 
-STAMP_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0}
+STAMP_UNITS = {"s": 1e9, "ms": 1e6, "us": 1e3, "ns": 1.0, "min": 6e10, "h": 3.6e12}
 ANGLE_UNITS = {"rad": 1.0, "deg": 0.017453292519943295, "rev": 6.283185307179586}
 SPEED_UNITS = {"rad/s": 1.0, "deg/s": 0.017453292519943295, "rev/s": 6.283185307179586, "rpm": 0.10471975511965977}
 TYPESTORES = ("humble", "iron", "jazzy", "kilted", "latest")

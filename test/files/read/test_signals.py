@@ -80,7 +80,7 @@ def test_units():
         ("[x, y, z]", "[x, 'y[', z]", r"fields is 'y\['"),
         ("[x, y, z]", "[x, __class__, z]", r"fields is '__class__'"),
         ("[x, y, z]", "[x, y, z]\n  stamp: 'a..b'", r"stamp is 'a..b'"),
-        ("[x, y, z]", "[x, y, z]\n  stamp_unit: h", r"stamp_unit is 'h': it must be one of s, ms, us, ns"),
+        ("[x, y, z]", "[x, y, z]\n  stamp_unit: d", r"stamp_unit is 'd': it must be one of s, ms, us, ns, min, h"),
         ("[x, y, z]", "[x, y, z]\n  sample_period: 0", r"sample_period is 0.0 s: it must be positive"),
         ("[x, y, z]", "[x, y, z]\n  sample_period: -1e-4", r"sample_period is -0.0001 s"),
         ("  angle: position[0]\n", "", r"angle is missing"),

@@ -198,6 +198,9 @@ def test_every_wrong_use_is_named_before_a_fit(name, tmp_path, samples, long):
     }
     text = "defaults: {stamp: t, stamp_unit: s}\ncurrents: {fields: [i0, i1, i2]}\nvoltages: {fields: [u0, u1, u2]}\n"
     text += "resolver: {angle: th, speed: w}\n"
+    if write_bag.winding_temperature is not None:
+        table |= {"warm": write_bag.winding_temperature}
+        text += "optional: {winding_temperature: {field: warm}}\n"
     if write_bag.i_dq_reference is not None:
         table |= {"d": write_bag.i_dq_reference[:, 0], "q": write_bag.i_dq_reference[:, 1]}
         text += "reference: {fields: [d, q]}\n"

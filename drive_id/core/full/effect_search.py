@@ -49,9 +49,6 @@ machine was missed, 0.6 % of the flux."""
 _CERTAIN, _CERTAIN_BESIDE = 2.0, 1.0
 """Standard errors, over segments of time, by which an effect must save as much on data left out, and one that details
 another: without it the flux is off (0.14 % at 3.1 of its errors), with it in vain, its errors are larger."""
-_MOST_GAIN = 10.0
-"""Gain of a segment relative to the median, beyond which it counts no more: where the speed was reversed, one segment
-gained 200 times as much as others, and iron loss that saves 94 % of the squares was not confirmed."""
 _FEW, _PER_COLUMN = 4000, 4
 """Windows over which a set is searched first, and the least number for each column of the sums: neighbours overlap, and
 all of them confirm the set."""
@@ -493,8 +490,7 @@ def _unconfirmed(state: EffectSearch, search: _Search, chosen: _Set) -> str | No
     errors = errors[predictable(errors[:, 0])]
     gains = errors[:, 1:] - errors[:, :1]
     share = gains.sum(axis=0) / errors[:, 1:].sum(axis=0)
-    most = _MOST_GAIN * np.median(np.abs(gains), axis=0)  # a segment that gains far more makes the mean no less certain
-    gains = np.clip(gains, -most, most)
+    gains /= errors[:, 1:] + errors[:, :1]  # one that gains far more makes the mean no less certain
     certain = gains.mean(axis=0) / np.maximum(gains.std(axis=0) / np.sqrt(len(gains)), 1e-300)
     least = [_CERTAIN_BESIDE if member in _BESIDE else _CERTAIN for member in members]
     unsure = certain < np.array(least) * (1.0 + STUDENT / max(len(gains) - 1, 1))

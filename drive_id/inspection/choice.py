@@ -198,13 +198,17 @@ def _with_time(table: Table) -> Table:
 
 
 def by_presence(table: Table) -> Iterator[Table]:
-    """Yield a table divided by which of its columns hold values in the same rows, as where each row is of one topic."""
+    """Yield a table divided by which of its columns hold values in the same rows, as where each row is of one topic.
+
+    The columns that hold values in all rows come first, and again beside the others.
+    """
     there = {name: np.isfinite(x) for name, x in table.columns.items() if len(x)}
     sparse = [name for name, known in there.items() if known.any() and known.mean() < _MOST_THERE]
     if not sparse or len(table.stamp):
         yield table
         return
     full = [name for name in there if there[name].mean() >= _MOST_THERE]
+    yield replace(table, columns={name: table.columns[name] for name in full})
     parts: dict[bytes, list[str]] = {}
     for name in sparse:
         parts.setdefault(there[name].tobytes(), []).append(name)

@@ -18,7 +18,7 @@ from drive_id.inspection.choice import TURNS, Choice, blank_columns, choose
 from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, TimeColumn, regular_stamps, time_column
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import (
-    doubtful_unit,
+    begin_alike,
     is_temperature,
     listed,
     name_groups,
@@ -38,7 +38,15 @@ from drive_id.inspection.points import (
     unit_factor,
     voltage_points,
 )
-from drive_id.inspection.scales import LARGEST_SHARE, full_scale, is_whole, may_be_half, open_scale, zero_reading
+from drive_id.inspection.scales import (
+    LARGEST_SHARE,
+    full_scale,
+    is_whole,
+    may_be_half,
+    open_by_name,
+    open_scale,
+    zero_reading,
+)
 from drive_id.inspection.static_draft import is_slow, static_draft
 from drive_id.types import FloatArray
 
@@ -470,7 +478,11 @@ class _DraftText:
             return
         by_angle = np.array([(x[-1] - x[0]) / seconds[-1], (x[half] - x[0]) / seconds[half]])
         varied = abs(by_angle[1] / by_angle[0] - 1) > _VARIED  # any constant is some multiple of a constant speed
-        columns = sorted(angle.table.columns.items(), key=lambda column: not suggests(column[0], "speed"))
+        columns = sorted(
+            angle.table.columns.items(),
+            key=lambda column: (suggests(column[0], "speed"), begin_alike(column[0], angle.name)),
+            reverse=True,
+        )
         for name, y in columns:
             if name in self._taken or len(y) != len(x) or not np.isfinite(y).all() or not y.any():
                 continue
@@ -499,6 +511,7 @@ class _DraftText:
         theta = choice.samples.angle * choice.reading.ratio[0] + choice.reading.angle_offset
         i_dq = frames.to_dq(choice.samples.i_abc, theta)
         clock, own = choice.samples.stamp, choice.currents.group.names
+        found_references: list[tuple[tuple[bool, float], list[str]]] = []
         for table in self._tables:
             for group in name_groups(list(table.columns)):
                 if group.frame != "dq" or group.names in (own, choice.voltages.group.names):
@@ -516,7 +529,9 @@ class _DraftText:
                 if alike > 0.9 and 0.8 < gain / factor < 1.25:
                     scale = [f"  scale: {factor:.6g}          # by the currents: {_REFERENCES[factor]}"]
                     lines = [f"  fields: {listed(group.names)}", *(scale if factor != 1 else [])]
-                    return ["", "reference:", *self._time(table, lines)]
+                    found_references.append(((factor == 1, alike), ["", "reference:", *self._time(table, lines)]))
+        if found_references:
+            return max(found_references)[1]
         self._unsure.append(
             "No columns are the references of i_d and i_q: a fit then takes i_max from the currents and corrects less "
             "for their noise."
@@ -564,14 +579,9 @@ class _DraftText:
 def _other_unit(found: PhaseGroup, unit: str) -> list[str]:
     """Return what is open about the scale of columns that state a unit of something else, or one that may be a word."""
     name = found.group.names[0]
-    of_another = unit_factor(found.table, found.group.names, unit) == 0
-    said = "".join(stated_unit(name, found.table.unit(name)))
-    open_ = [f"{unit} per {said}, the unit that their names state"] if of_another else []
-    if doubtful := doubtful_unit(name):
-        open_.append(f"1, if {doubtful} in the names is no unit")
-    if any(word.endswith("rms") for word in words(f"{name} {found.table.unit(name)}")):
-        open_.append("1.41421, if these are rms values, as their names state")
-    return open_
+    given, of_another = found.table.unit(name), unit_factor(found.table, found.group.names, unit) == 0
+    said = "".join(stated_unit(name, given))
+    return [f"{unit} per {said}, the unit that their names state"] * of_another + open_by_name(name, given)
 
 
 def _link_scale(link: tuple[Table, str], rivals: Sequence[str]) -> tuple[float, list[str]]:
@@ -582,8 +592,7 @@ def _link_scale(link: tuple[Table, str], rivals: Sequence[str]) -> tuple[float, 
     open_ = [] if setting else open_scale(x, factor, "V")
     if part := words(name) & _PART_OF_LINK:
         open_.append(f"it may be a part of the link, as its name says: {min(part)}")
-    if doubtful := doubtful_unit(name):
-        open_.append(f"1, if {doubtful} in the name is no unit")
+    open_ += open_by_name(name)
     if rivals:
         open_.append(f"or {' or '.join(map(printable, rivals))}, named for a DC link as well")
     return factor or 1.0, open_

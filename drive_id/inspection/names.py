@@ -145,6 +145,11 @@ def _stated(name: str, given: str) -> tuple[float, str, str]:
     return float(number.replace(",", ".")), said["prefix"].lower().replace("µ", "u"), base
 
 
+def begin_alike(one: str, other: str) -> int:
+    """Return how many letters two names have in common at their begin, as those of one axis of a machine."""
+    return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
+
+
 def name_groups(names: Sequence[str]) -> Iterator[NameGroup]:
     """Yield the triples of phases and the pairs of components among names, each once; triples of phases first."""
     known, seen, triples = set(names), set[tuple[str, ...]](), list[set[str]]()

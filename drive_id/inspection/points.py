@@ -16,6 +16,7 @@ from drive_id.core.checks.recognition import AngleLike
 from drive_id.inspection.contents import Table
 from drive_id.inspection.names import (
     NameGroup,
+    begin_alike,
     is_derived,
     is_measured,
     is_temperature,
@@ -124,18 +125,13 @@ def dc_link(tables: Sequence[Table], u: PhaseGroup, others: Collection[str] = ()
     """
     own = f"{u.table.name} {u.group.names[0]}"
     found = [
-        (_link_points(table, name), _begin_alike(own, f"{table.name} {name}"), table, name)
+        (_link_points(table, name), begin_alike(own, f"{table.name} {name}"), table, name)
         for table in tables
         for name in table.columns
         if name not in (*u.group.names, *others)
     ]
     points, _, table, name = max(found, key=lambda entry: entry[:2], default=(0.0, 0, None, ""))
     return (table, name) if table is not None and points > 0 else None
-
-
-def _begin_alike(one: str, other: str) -> int:
-    """Return how many letters two names have in common at their begin."""
-    return next((k for k, (a, b) in enumerate(zip(one, other, strict=False)) if a != b), min(len(one), len(other)))
 
 
 def rival_links(tables: Sequence[Table], link: tuple[Table, str] | None, others: Collection[str]) -> list[str]:

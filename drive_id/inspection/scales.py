@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drive_id.inspection.names import words
+from drive_id.inspection.names import doubtful_unit, words
 from drive_id.inspection.points import PhaseGroup
 from drive_id.types import FloatArray
 
@@ -80,6 +80,15 @@ def full_scale(u: PhaseGroup) -> float:
 def may_be_half(u: PhaseGroup, full: float) -> bool:
     """Tell whether duty cycles around zero, of this range, may be voltages by the DC link, of half the range."""
     return full in (2.0, 2 * _PERCENT) and float(np.abs(u.values).max()) <= _HALF * full / 2
+
+
+def open_by_name(name: str, given: str = "") -> list[str]:
+    """Return what a name, and the unit that the log gives, leave open about a scale: rms values, or no unit at all."""
+    doubtful = doubtful_unit(name)
+    found = [f"1, if {doubtful} in the name is no unit"] if doubtful else []
+    if any(word.endswith("rms") for word in words(f"{name} {given}")):
+        found.append(f"{np.sqrt(2):.6g}, if these are rms values, as their name says")
+    return found
 
 
 def open_scale(x: FloatArray, factor: float | None, unit: str, frame: str = "abc") -> list[str]:

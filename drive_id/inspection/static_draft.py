@@ -10,7 +10,7 @@ from drive_id.inspection.clock import stamp_unit, timed
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import listed, name_groups, quoted, stated_unit, suggests, words
 from drive_id.inspection.points import unit_factor
-from drive_id.inspection.scales import open_scale
+from drive_id.inspection.scales import open_by_name, open_scale
 
 _RPM = {"n", "min", "drehzahl", "speed"}
 """Words of a speed that is likely one in rpm, though no unit is stated."""
@@ -79,7 +79,7 @@ def _lines(
     ):
         x = np.concatenate([table.columns[name] for name in names])
         factor = unit_factor(table, names, "AV")
-        open_ = open_scale(x[np.isfinite(x)], factor or None, unit_[0], "dq")
+        open_ = open_scale(x[np.isfinite(x)], factor or None, unit_[0], "dq") + open_by_name(names[0])
         body += [f"{what}:", "  frame: dq", f"  fields: {listed(names)}   # {unit_}, peak"]
         body += [f"  scale: {factor or 1:g}   # EDIT: {'; '.join(open_)}"]
     mark = f"   # EDIT: {'; '.join(open_speed)}" if open_speed else ""

@@ -173,8 +173,8 @@ def test_references_in_rms_or_in_milliamperes_are_references(factor, samples, tm
 @pytest.mark.parametrize(
     ("current", "voltage", "said"),
     [
-        ("i{}_ma", "u{}_mv", "EDIT: 1, if ma in the names is no unit"), ("cur_mA_{}", "volt_mV_{}", ""),
-        ("i_ma[{}]", "u_mv[{}]", "EDIT: 1, if ma in the names is no unit"),
+        ("i{}_ma", "u{}_mv", "EDIT: 1, if ma in the name is no unit"), ("cur_mA_{}", "volt_mV_{}", ""),
+        ("i_ma[{}]", "u_mv[{}]", "EDIT: 1, if ma in the name is no unit"),
     ],
 )  # fmt: skip
 def test_units_are_read_wherever_names_have_them(current, voltage, said, samples, tmp_path):
@@ -257,3 +257,75 @@ def test_a_limit_is_no_temperature_and_fahrenheit_are_converted(samples, tmp_pat
     table = {"T_winding_limit [degC]": np.full(len(samples), 155.0), "Temp_Wdg [°F]": 32 + 1.8 * celsius}
     found, _, _ = drafted(samples, tmp_path, **table)
     assert found.winding_temperature == pytest.approx(celsius[: len(found)], abs=0.01)
+
+
+def test_columns_of_every_row_are_of_every_row_beside_sparser_ones(samples, tmp_path):
+    """The period of the angle was written for all, and the fit refused its own draft."""
+    sparse = np.where(np.arange(len(samples)) % 5 == 0, np.mod(samples.angle, 2 * np.pi), np.nan)
+    found, draft, _ = drafted(samples, tmp_path, theta=sparse, omega=None)
+    assert found.sample_period == pytest.approx(samples.sample_period)
+    assert "interpolate: true" in draft.text
+    off = frames.wrapped(found.angle - samples.angle[: len(found)])
+    assert np.abs(off[10:-10]).max() < 0.01
+
+
+def test_speed_and_references_are_those_of_the_same_axis(samples, tmp_path):
+    """The speed of the other shaft gave eight pole pairs, and its references were rms values."""
+    t = np.arange(len(samples)) * samples.sample_period
+    own = columns(samples, omega=None)
+    axis = {f"R.{name}": own[name] for name in own if name != "time_s"}
+    speed = 30 / np.pi / 4 * samples.speed
+    other = {"L.speed_rpm": 0.5 * speed, "L.id_ref": own["id_ref"] / 2**0.5, "L.iq_ref": own["iq_ref"] / 2**0.5}
+    path = write_csv(tmp_path / "log.csv", {"t": t} | other | axis | {"R.speed_rpm": speed})
+    draft = check(path).draft
+    assert "fields: [R.id_ref, R.iq_ref]" in draft.text
+    assert re.search(r"pole_pairs: 4 +# by R.speed_rpm", draft.text)
+
+
+def in_milliamperes(path, table):
+    """Write currents in mA to a file of a kind that states units beside the names."""
+    names, values = list(table), np.column_stack(list(table.values()))
+    units = ["s", *["mA"] * 3, *["V"] * 3, "deg"]
+    rows = "\n".join("\t".join(f"{x:.9g}" for x in row) for row in values)
+    if path.suffix == ".lvm":
+        head = "LabVIEW Measurement\nSeparator\tTab\n***End_of_Header***\n\nChannels\t7\n"
+        head += "\t".join(["Y_Unit_Label", *units[1:]]) + "\n***End_of_Header***\n"
+        path.write_text(head + "\t".join(["X_Value", *names[1:]]) + "\n" + rows + "\n", encoding="ascii")
+    elif path.suffix == ".csv":
+        head = (
+            "Model,MSO58\nHorizontal Units,s,,,,,,\n"
+            + ",".join(["Vertical Units", *units[1:]])
+            + "\n\n"
+            + ",".join(names)
+            + "\n"
+        )
+        path.write_text(head + rows.replace("\t", ",") + "\n", encoding="ascii")
+    elif path.suffix == ".parquet":
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        fields = [pa.field(n, pa.float64(), metadata={"unit": unit}) for n, unit in zip(names, units, strict=True)]
+        pq.write_table(pa.Table.from_arrays([pa.array(x) for x in values.T], schema=pa.schema(fields)), path)
+    else:
+        from scipy.io import savemat
+
+        kind = [(field, object) for field in ("Name", "Data", "Unit")]
+        y = np.array(list(zip(names[1:], values.T[1:], units[1:], strict=True)), dtype=kind)
+        x = np.array([(names[0], values[:, 0], "s")], dtype=kind)
+        savemat(path, {"log": {"X": x, "Y": y}})
+
+
+@pytest.mark.parametrize("kind", ["lvm", "csv", "parquet", "mat"])
+def test_units_beside_the_names_are_read(kind, samples, tmp_path):
+    """A motor of 3 A was one of 3000 A, silently."""
+    if kind == "parquet":
+        pytest.importorskip("pyarrow")
+    t = np.arange(len(samples)) * samples.sample_period
+    table = {"t": t} | {f"I{phase}": 10 * x for phase, x in zip("uvw", samples.i_abc.T, strict=True)}
+    table |= {f"U{phase}": x for phase, x in zip("uvw", samples.u_abc.T, strict=True)}
+    path = tmp_path / f"log.{kind}"
+    in_milliamperes(path, table | {"theta": np.rad2deg(np.mod(samples.angle, 2 * np.pi))})
+    draft = check(path).draft
+    found = read_recording(path, parse_signals(draft.text, "the draft")).samples
+    assert np.abs(found.i_abc - 0.01 * samples.i_abc[: len(found)]).max() < 1e-3
+    assert "EDIT" not in draft.text

@@ -125,7 +125,7 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     period = _float(next(iter(step[1:]), "")) if 0 in blank else None
     unnamed = tuple(k for k in blank if not rows[header][k].strip() or (k == 0 and period))
     below = [rows[header + 1]] if header + 1 < first else []
-    stated = [["", *row[1:]] for row in rows[:header] if row and _UNITS in row[0].lower()]
+    stated = [["", *row[1:]] for row in rows[:header] if _UNITS in "".join(row[:1]).lower() and all(row[1:width])]
     units = next(([unit_of(cell) for cell in row] for row in (*below, *stated) if len(row) == width), [""] * width)
     dated = [sum(bool(_NUMBER.fullmatch(row[k])) for row in body) * 2 < sum(bool(row[k].strip()) for row in body)
              for k in range(width)]  # fmt: skip

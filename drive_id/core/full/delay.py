@@ -175,7 +175,7 @@ def estimate_delay(solver: Solver, solution: FullSolution, noise: CurrentNoise) 
     left = _NOISE_SHARE * sigma**2 * solution.rows
     bounds = [sigma, _BIAS, _SMOOTHING_BOUND * (smoother - found), by_noise, left]
     if EARLIEST < found < -1 / 4 + _PHYSICAL:
-        bounds.append(_BY_DECAY * decay(solver.model, solution.estimate, noise.windows) ** 2)
+        bounds.append(_BY_DECAY * min(decay(solver.model, solution.estimate, noise.windows), 1.0) ** 2)
     if noise.interpolation_variance:
         resembled = np.sqrt(noise.interpolation_variance) / noise.turn  # the delay that turns the angle as far
         bounds.append(resembled)

@@ -543,6 +543,21 @@ def test_temperatures_separate_winding_and_magnet():
     assert max(found.report.mad_d, found.report.mad_q) < 0.3  # the simulated machine is as warm as the recorded one
 
 
+def test_one_temperature_tells_that_the_map_holds_at_it():
+    hot = record(resistance=0.02 * (1 + 3.93e-3 * 80), drop=even_drop, duration=3.0, noise=0.3)
+    found = identify([hot], replace(FULL, temperatures=(100.0,)))
+    assert found.resistance == pytest.approx(0.02, rel=0.01)
+    told = {message.code: message for message in found.statements}
+    assert told["map_temperature"].values["temperature"] == pytest.approx(100.0)
+    assert "simulation_off" not in [message.code for message in found.report.warnings]
+
+
+def test_currents_beyond_i_max_do_not_doubt_the_model(samples):
+    found = identify([samples], replace(FULL, i_max=180.0))
+    assert max(found.report.mad_d, found.report.mad_q) > 3.0  # the map goes on linearly
+    assert "simulation_off" not in [message.code for message in found.report.warnings]
+
+
 def test_the_drop_scales_with_the_dc_link():
     low = record(drop=even_drop, duration=3.0, noise=0.3)
     high = record(drop=lambda i: 1.5 * even_drop(i), duration=3.0, noise=0.3, speed=-260.0)

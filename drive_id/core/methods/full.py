@@ -315,13 +315,15 @@ def _effect_voltages(evidence: Evidence, fit: FullFit) -> EffectVoltages | None:
         return None
     columns = replace(search.found.columns, estimate=fit.solution.estimate)
     recordings = 1 + max(int(windows.recording.max()) for windows in kept)
-    conditions = [evidence.settings.conditions(number) for number in range(recordings)]
-    alike = len(set(conditions)) == 1
+    given = max(len(evidence.settings.temperatures), len(evidence.settings.u_dc))
+    told = given in {0, recordings}  # merged evidence has the settings of its first recording
+    conditions = [evidence.settings.conditions(number) for number in range(recordings if told else 1)]
+    alike = told and len(set(conditions)) == 1
     of_recordings = [name for name in fit.spec.effects if CATALOGUE[name].of_recordings]
     simulated = not any(CATALOGUE[name].of_recorded_runs for name in fit.spec.effects)
 
     def voltages(pieces: Sequence[Samples]) -> tuple[list[FloatArray], bool]:
-        whole = len(pieces) == recordings and sum(len(piece) for piece in pieces) >= evidence.samples
+        whole = told and len(pieces) == recordings and sum(len(piece) for piece in pieces) >= evidence.samples
         known = conditions if whole else len(pieces) * conditions[:1]
         if whole or (alike and not of_recordings):
             return columns.voltages(pieces, _AVERAGED, known), simulated

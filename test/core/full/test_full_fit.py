@@ -13,6 +13,7 @@ from synthetic import record as record_of
 
 from drive_id.common.messages import Message
 from drive_id.core import frames
+from drive_id.core.accumulation.evidence import Evidence
 from drive_id.core.fit_settings import FitSettings
 from drive_id.core.full import effect_search, selection, window_sums
 from drive_id.core.full import fit as full_fit
@@ -26,6 +27,7 @@ from drive_id.core.full.solver import CurrentNoise, Solver, correct_attenuation
 from drive_id.core.full.standard_errors import changes_by_batch, residual_statistics
 from drive_id.core.full.windows import SHIFTS, Windows, kept_of
 from drive_id.core.maps.flux_models import jacobian, positive_definite
+from drive_id.core.result.conclusion import conclude
 from drive_id.core.result.identify import gather, identify
 from drive_id.errors import ConfigurationError, DataError
 
@@ -550,6 +552,18 @@ def test_one_temperature_tells_that_the_map_holds_at_it():
     told = {message.code: message for message in found.statements}
     assert told["map_temperature"].values["temperature"] == pytest.approx(100.0)
     assert "simulation_off" not in [message.code for message in found.report.warnings]
+
+
+def test_merged_evidence_of_two_temperatures_is_concluded():
+    """It has the settings of its first recording."""
+    settings = replace(FULL, temperatures=(60.0, 90.0))
+    parts = [Evidence.within(settings.of_recording(k), settings.i_max) for k in range(2)]
+    recordings = [record(resistance=0.02 * (1 + 3.93e-3 * t), duration=3.0, noise=0.3) for t in (40.0, 70.0)]
+    for part, samples in zip(parts, recordings, strict=True):
+        part.next_recording()
+        part.add(samples)
+    found = conclude(parts[0].merged(parts[1]), recordings[:1])
+    assert found.resistance == pytest.approx(0.02, rel=0.01)
 
 
 def test_currents_beyond_i_max_do_not_doubt_the_model(samples):

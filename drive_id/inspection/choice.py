@@ -15,7 +15,16 @@ from drive_id.core.numerics.largest import USUAL_QUANTILE
 from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError, DataError
 from drive_id.files.messages.signal_sources import ANGLE_UNITS
-from drive_id.inspection.clock import FEWEST, PERIODS, numbered, regular_stamps, timed, together, unsorted_time
+from drive_id.inspection.clock import (
+    FEWEST,
+    PERIODS,
+    by_own_time,
+    numbered,
+    regular_stamps,
+    timed,
+    together,
+    unsorted_time,
+)
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import NameGroup, name_groups, suggests, words
 from drive_id.inspection.points import AngleColumn, PhaseGroup, angle_points, current_points, dc_link, voltage_points
@@ -77,7 +86,8 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
 
     Raises ConfigurationError when no columns look like currents, voltages and an angle: says which are missing.
     """
-    parts = [part for table in contents.tables for part in by_presence(_with_time(table))]
+    own = [part for table in contents.tables for part in by_own_time(table)]
+    parts = [part for table in own for part in by_presence(_with_time(table))]
     tables = together([timed(_filled(part), contents) for part in parts])
     tables = [_onward(_distinct(table)) for table in tables]
     if not any(len(table.stamp) for table in tables):

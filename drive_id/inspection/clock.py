@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -50,6 +52,8 @@ _IN_BRACKETS = re.compile(r"[\[(] *(min|h) *[\])]$")
 """Long units of a time, which no other quantity has in brackets."""
 _BITS = (16, 24, 32)
 """Widths of timers whose count starts again."""
+_TOGETHER = 0.01
+"""Difference of the begins of times of one clock, by the span of the longest."""
 _MEANINGS = ("angle", "speed", "current", "voltage", "reference")
 
 
@@ -104,6 +108,30 @@ def numbered(table: Table) -> Table:
     """Return a table without a time column with stamps from row numbers, at a guessed rate."""
     rows = len(next(iter(table.columns.values()), ()))
     return replace(table, stamp=np.arange(rows) * round(1e9 * GUESSED_PERIOD), stamp_source=INDEX)
+
+
+def by_own_time(table: Table) -> Iterator[Table]:
+    """Yield a table divided at its time columns, where each signal or each few of them follow their own.
+
+    Times of one clock, which begin together: a further time of the same rows follows another at once, or ends the table.
+    """
+    names = list(table.columns)
+    spans = {k: span for k, name in enumerate(names) if (span := _span(table, name))}
+    edges = [*spans, len(names)]
+    begins, lasts = np.array([*spans.values()]).reshape(-1, 2).T
+    apart = len(table.stamp) == 0 and len(spans) > 1 and edges[0] == 0 and min(np.diff(edges)) > 1
+    if apart and np.ptp(begins) < _TOGETHER * float(np.max(lasts - begins)):
+        for first, following in pairwise(edges):
+            yield replace(table, columns={name: table.columns[name] for name in names[first:following]})
+    else:
+        yield table
+
+
+def _span(table: Table, name: str) -> tuple[float, float] | None:
+    """Return the first and last time, ns, of a column that looks like a time on its own; None if it does not."""
+    x = table.columns[name][np.isfinite(table.columns[name])]
+    found = time_column(replace(table, columns={name: x}))
+    return (float(x[0]) * found.tick, float(x[-1]) * found.tick) if found else None
 
 
 def regular_stamps(table: Table) -> IntArray:

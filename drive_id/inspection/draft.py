@@ -147,10 +147,10 @@ class _DraftText:
         self._unsure: list[str] = []
         self._period = choice.currents.table.period or 0.0
         taken = (*choice.currents.group.names, *choice.voltages.group.names, choice.angle.name)
-        self._taken = {*taken, choice.angle.table.stamp_source}
+        self._taken = {*taken, *(table.stamp_source for table in tables)}
         self._link = dc_link(tables, choice.voltages, taken)
         self._taken |= {self._link[1]} if self._link is not None else set()
-        self._rival_links = rival_links(tables, self._link, (*taken, choice.angle.table.stamp_source))
+        self._rival_links = rival_links(tables, self._link, self._taken)
         self.unexplained = choice.reading.unexplained
 
     def draft(self) -> Draft:

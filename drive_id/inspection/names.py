@@ -33,6 +33,8 @@ _UNITS_IN_NAMES = (  # I1 [mA], I1/mA, I1 [0.1A]; I1_mA, I1 in mA, or the unit a
 )
 _DOUBTFUL = re.compile(r"(?:^|[_ ])(ma|ka|mv|kv)(?=[_ \[]|$)")
 """Units in small letters, which may be words: ``ia_ma`` is a current in mA, or a moving average."""
+_FACTOR = re.compile(r"[*×] ?\d|\b[AV]/ ?\d|[ ([]x ?\d|\d ?[mµu]?[AV]/[AV]\b")
+"""A factor that no unit explains: ``ia *10``, ``[A/10]``, ``(x0.1A)``, ``(10mV/A)``."""
 FACTORS = {"": 1.0, "m": 1e-3, "u": 1e-6, "n": 1e-9, "k": 1e3}
 """Factor to the base of a unit by its prefix."""
 _MEASURED = {"meas", "measured", "mes", "ist", "act", "actual", "fb", "feedback", "sensed"}
@@ -128,6 +130,11 @@ def doubtful_unit(name: str) -> str:
     """Return the unit in a name that may be a word: ``ma`` in ``ia_ma``; empty if there is none."""
     found = _DOUBTFUL.search(name)
     return found[1] if found else ""
+
+
+def states_factor(name: str) -> bool:
+    """Tell whether a name states a factor whose sense it leaves open: ``I1 [A/10]``, ``I1 (10mV/A)``."""
+    return _FACTOR.search(name) is not None
 
 
 def unit_scale(name: str, given: str = "") -> tuple[float, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drive_id.inspection.names import doubtful_unit, words
+from drive_id.inspection.names import doubtful_unit, printable, states_factor, words
 from drive_id.inspection.points import PhaseGroup
 from drive_id.types import FloatArray
 
@@ -83,9 +83,11 @@ def may_be_half(u: PhaseGroup, full: float) -> bool:
 
 
 def open_by_name(name: str, given: str = "") -> list[str]:
-    """Return what a name, and the unit that the log gives, leave open about a scale: rms values, or no unit at all."""
+    """Return what a name, and the unit that the log gives, leave open about a scale: rms values, no unit, a factor."""
     doubtful = doubtful_unit(name)
     found = [f"1, if {doubtful} in the name is no unit"] if doubtful else []
+    if states_factor(f"{name} {given}"):
+        found.append(f"or what {printable(f'{name} {given}'.strip())} says")
     if any(word.endswith("rms") for word in words(f"{name} {given}")):
         found.append(f"{np.sqrt(2):.6g}, if these are rms values, as their name says")
     return found

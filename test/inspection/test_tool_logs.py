@@ -296,6 +296,23 @@ def test_each_group_begins_at_its_own_time(tool, tmp_path, samples, columns):
     assert "time_shift" not in [finding.code for finding in check(path).findings]
 
 
+@pytest.mark.parametrize("names", [("Time(i)", "Time(u)", "Time(theta)"), ("ti", "tu", "tth"), ("t", "t (2)", "t (3)")])
+@pytest.mark.parametrize(("later", "every"), [(37, 1), (0, 2)])
+def test_signals_that_have_a_time_of_their_own_each_are_read_at_it(names, later, every, tmp_path, samples, columns):
+    """The first one was taken for all, and the voltages were told to act 37 samples later."""
+    table = dict(zip(names, [columns["t"]] * 3, strict=True)) | columns
+    last = (names[2], "theta")
+    blank = np.full(N, np.nan)
+    for name in last:
+        table[name] = np.append(table[name][later::every], blank)[: N - later]
+    order = [names[0], *PHASES[:3], names[1], *PHASES[3:], *last]
+    path = tool_logs.csv(tmp_path / "a.csv", {name: table[name][: N - later] for name in order})
+    found, draft, _ = drafted(path)
+    assert_same(found, samples, missing=2 * later)
+    assert "angle_offset: 0 " in draft.text
+    assert "time_shift" not in [finding.code for finding in check(path).findings]
+
+
 def test_phases_that_begin_at_different_times_are_refused(tmp_path, columns):
     path = tool_logs.tdms(tmp_path / "a.tdms", columns, {"ic": {"wf_start_offset": 0.001}}, groups=True)
     with pytest.raises(DriveIdError, match=r"columns of section 'currents' \(ia, ib, ic\) have different times"):

@@ -190,9 +190,14 @@ def test_units_are_read_wherever_names_have_them(current, voltage, said, samples
 
 
 @pytest.mark.parametrize(
-    ("suffix", "said"), [(" [V]", "A per V, the unit that their names state"), (" [Arms]", "1.41421, if these are rms")]
-)
-def test_currents_in_the_unit_of_something_else_are_a_guess(suffix, said, samples, tmp_path):
+    ("suffix", "said"),
+    [
+        (" [V]", "A per V, the unit that their names state"), (" [Arms]", "1.41421, if these are rms"),
+        (" [A/10]", "or what ia [A/10] says"), (" (10mV/A)", "or what ia (10mV/A) says"),
+        (" (x0.1A)", "or what ia (x0.1A) says"), (" *10", "or what ia *10 says"),
+    ],
+)  # fmt: skip
+def test_currents_in_another_unit_or_with_a_factor_are_a_guess(suffix, said, samples, tmp_path):
     _, draft, warnings = drafted(samples, tmp_path, **phases(samples, "i", suffix))
     assert said in draft.text
     assert "guessed_setting" in [message.code for message in warnings]

@@ -113,7 +113,8 @@ def numbered(table: Table) -> Table:
 def by_own_time(table: Table) -> Iterator[Table]:
     """Yield a table divided at its time columns, where each signal or each few of them follow their own.
 
-    Times of one clock, which begin together: a further time of the same rows follows another at once, or ends the table.
+    They are of one clock and begin together: a further time of the same rows follows another at once, or ends the
+    table. Columns of equal times stay together.
     """
     names = list(table.columns)
     spans = {k: span for k, name in enumerate(names) if (span := _span(table, name))}
@@ -121,8 +122,11 @@ def by_own_time(table: Table) -> Iterator[Table]:
     begins, lasts = np.array([*spans.values()]).reshape(-1, 2).T
     apart = len(table.stamp) == 0 and len(spans) > 1 and edges[0] == 0 and min(np.diff(edges)) > 1
     if apart and np.ptp(begins) < _TOGETHER * float(np.max(lasts - begins)):
+        parts: dict[bytes, list[str]] = {}
         for first, following in pairwise(edges):
-            yield replace(table, columns={name: table.columns[name] for name in names[first:following]})
+            parts.setdefault(table.columns[names[first]].tobytes(), []).extend(names[first:following])
+        for part in parts.values():
+            yield replace(table, columns={name: table.columns[name] for name in part})
     else:
         yield table
 

@@ -110,7 +110,14 @@ def read_contents(path: Path, signals: SignalMap | None = None) -> Contents:
 
 
 def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
-    wanted = _of_numbers(log, [Column(group.name, name) for name in group.columns])
+    columns = [Column(group.name, name) for name in group.columns]
+    table = _table(log, group, _of_numbers(log, columns, _FIRST_ROWS))
+    if table.problem and not table.columns:  # a column may hold a text later on
+        return _table(log, group, _of_numbers(log, columns, ROWS))
+    return table
+
+
+def _table(log: ColumnLog, group: ColumnGroup, wanted: list[Column]) -> Table:
     time = Column(group.name, OWN_TIME)
     found: dict[Column, list[Any]] = defaultdict(list)
     problem, count, total = "", 0, group.rows
@@ -136,12 +143,12 @@ def _of_group(log: ColumnLog, group: ColumnGroup) -> Table:
     )
 
 
-def _of_numbers(log: ColumnLog, columns: list[Column]) -> list[Column]:
-    """Return the columns that hold numbers or times, judged by the first rows; all columns if none does."""
+def _of_numbers(log: ColumnLog, columns: list[Column], rows: int) -> list[Column]:
+    """Return the columns that hold numbers or times, judged by the first ``rows``; all columns if none does."""
 
     def readable(wanted: list[Column]) -> bool:
         try:
-            next(iter(log.parts(wanted, _FIRST_ROWS)), None)
+            next(iter(log.parts(wanted, rows)), None)
         except MessageTypeError:
             return False
         return True

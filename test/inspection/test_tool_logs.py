@@ -156,6 +156,16 @@ TOOLS = {  # writer, sample period, s, and missing samples
     "dates with points of no known name": (
         lambda p, c: tool_logs.dated(p / "a.csv", stretched(c, 5e-5), "col0", "%d.%m.%Y %H:%M:%S.%f", ";"), 5e-5, 0,
     ),
+    "dates with AM and PM": (
+        lambda p, c: tool_logs.dated(p / "a.csv", c, "Time", "%m/%d/%Y %I:%M:%S.%f %p", ","), 1e-4, 0,
+    ),
+    "Parquet, dates with a time zone": (
+        lambda p, c: tool_logs.parquet(p / "a.parquet", c, zone="Europe/Berlin"), 1e-4, 0,
+    ),
+    "names in a comment, as of numpy.savetxt": (lambda p, c: tool_logs.csv(p / "a.txt", c, " ", head="# "), 1e-4, 0),
+    "a text in a column that is blank before": (
+        lambda p, c: tool_logs.evented(p / "a.csv", c, row=3000), 1e-4, 0,
+    ),
     "units in brackets, blank line, tabs": (
         lambda p, c: tool_logs.unit_row(p / "a.txt", c, [f"[{u}]" for u in ("s", *"AAAVVV", "rad")], "\t", comma=True),
         1e-4, 0,

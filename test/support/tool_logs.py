@@ -35,6 +35,15 @@ def csv(path: Path, columns: Columns, separator: str = ",", head: str = "", **ho
     return path
 
 
+def evented(path: Path, columns: Columns, row: int) -> Path:
+    """Write a last column that is blank but for a text in one row."""
+    lines = table(columns).splitlines()
+    cells = ["TRIGGER" if k == row else "" for k in range(len(lines))]
+    rows = [f"{line},{cell}" for line, cell in zip(lines, cells, strict=True)]
+    path.write_text("\n".join([",".join([*columns, "event"]), *rows]) + "\n")
+    return path
+
+
 def dated(path: Path, columns: Columns, name: str, form: str, separator: str) -> Path:
     """Write dates for the times, in a column of this name."""
     times = np.datetime64("2026-01-02T12:54:58.123456", "us") + np.rint(columns["t"] * 1e6).astype("timedelta64[us]")
@@ -159,11 +168,15 @@ def feather(path: Path, columns: Columns) -> Path:
     return path
 
 
-def parquet(path: Path, columns: Columns) -> Path:
-    """Write a table in which values that are NaN are nulls."""
+def parquet(path: Path, columns: Columns, zone: str = "") -> Path:
+    """Write a table in which values that are NaN are nulls, and times are dates of a time zone, if there is one."""
     import pandas as pd
 
-    pd.DataFrame(dict(columns)).convert_dtypes().to_parquet(path)
+    frame = pd.DataFrame(dict(columns)).convert_dtypes()
+    if zone:
+        frame["t"] = pd.to_datetime(1_790_000_000_000_000 + np.rint(1e6 * columns["t"]), unit="us", utc=True)
+        frame["t"] = frame["t"].dt.tz_convert(zone)
+    frame.to_parquet(path)
     return path
 
 

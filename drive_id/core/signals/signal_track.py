@@ -180,7 +180,7 @@ class SignalTrack:
             raise StampOrderError(
                 f"{cut} of {counted(self.read, 'stamp')} of {self.name} repeat or run backwards, the first by "
                 f"{by * 1e-9:.6f} s at {after * 1e-9:.6f} s: "
-                "remove repeated rows, check the clock, or take another stamp source in a signals file."
+                "remove repeated rows, check the clock, or give stamp_unit or another stamp in a signals file."
             )
 
     def warnings(self, offset: float, period: float) -> Iterator[Message]:

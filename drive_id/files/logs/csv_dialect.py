@@ -29,6 +29,8 @@ _TWINCAT = "Name"
 _TICKS = 1e16  # from which on its times are 100 ns since 1601, not ms
 _UNITS = "unit"
 """Word in the first cell of a line of units above the names, as LabVIEW and oscilloscopes write them."""
+_COMMENTS = (["#"], ["%"])
+"""First cell of a line of names that is a comment, as numpy.savetxt writes it."""
 _STEP, _LABVIEW = "Delta_X", "X_Value"
 """First cell of the lines of sample periods, s, and of names in LabVIEW measurement files."""
 
@@ -105,6 +107,7 @@ def _table(rows: list[list[str]], delimiter: str) -> CsvDialect | None:
     if first is None or not first:
         return None
     width = len(rows[first])
+    rows = [row[1:] if row[:1] in _COMMENTS and len(row) == width + 1 else row for row in rows]
     rows = [row[:width] if row[:1] == [_LABVIEW] else row for row in rows]  # whose comments need not have a cell
     above = [k for k in filled if k < first and len(rows[k]) == width and all(cell.strip() for cell in rows[k][1:-1])]
     while len(above) > 1 and all(unit_of(cell) for cell in rows[above[0]][1:]):

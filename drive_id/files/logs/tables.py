@@ -23,7 +23,8 @@ from drive_id.files.logs.log_kind import text_stream
 from drive_id.files.storage.container import UnpackBudget
 
 _CLOCK = re.compile(r"\s*\d{1,3}:\d\d(:\d\d)?([.,]\d+)?\s*")
-_DATES = ("ISO8601", "%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S")
+_DATES = ("ISO8601", "%d.%m.%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S.%f", "%m/%d/%Y %H:%M:%S",
+          "%m/%d/%Y %I:%M:%S.%f %p", "%m/%d/%Y %I:%M:%S %p")  # fmt: skip
 _EXACT: dict[str, Any] = {"float_precision": "round_trip"} if int(pd.__version__.split(".")[0]) < 3 else {}
 """Pandas 3 reads every digit without being asked."""
 _FORTRAN = re.compile(r"^(\s*[-+]?[\d.]+)[dD]([-+]?\d+)")
@@ -213,7 +214,7 @@ def _numbers(found: Any, name: str, path: Path, decimal: str) -> NDArray[Any]:
     if found.dtype.kind in NUMBERS:
         return np.asarray(found)
     if found.dtype.kind == "M":
-        return np.asarray(found.astype("datetime64[ns]").astype(np.int64))
+        return np.asarray(pd.to_datetime(found, utc=True).astype("datetime64[ns, UTC]").astype(np.int64))
     found = found.mask(found.astype(str).str.strip() == name)  # its name again, above the next capture
     pointed = found if decimal == "." else found.astype(str).str.replace(decimal, ".")
     numbers = pd.to_numeric(pointed, errors="coerce")

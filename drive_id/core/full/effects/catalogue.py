@@ -46,6 +46,7 @@ from drive_id.core.full.effects.timing import (
     LongFluxLag,
     ReferenceCompensation,
     SamplingInstant,
+    VoltageFrame,
 )
 from drive_id.core.full.integrals import LAGS
 
@@ -58,6 +59,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         CurrentLatency("current_latency"),
         Latency("angle_latency"),
         AngleTracking("angle_tracking"),
+        VoltageFrame("voltage_frame"),
         FastClock("voltage_clock", "voltages", 1.0, 0.0),
         FastClock("angle_clock", "angle", 0.0, 1.0),
         FastClock("current_clock", "currents", -1.0, -1.0),

@@ -13,7 +13,7 @@ import numpy as np
 from drive_id.common.messages import Message
 from drive_id.core import frames
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.windows import Windows
+from drive_id.core.full.windows import Windows, held_shares
 from drive_id.types import TINY, FloatArray, IntArray
 
 _LATENESS = 1.5
@@ -123,6 +123,11 @@ class Linearized(Ends):
     def step(self) -> ComplexArray:
         """Difference (N,) between the ends of the voltage, at each that between the samples around it, V."""
         return between(self.windows.held_after(0.5))
+
+    @cached_property
+    def voltage(self) -> ComplexArray:
+        """Integral (N,) of the delayed voltage, Vs."""
+        return np.asarray(self.windows.voltage - np.sum(held_shares(self.delay) * self.windows.shifted, axis=1))
 
     @cached_property
     def drop(self) -> ComplexArray:

@@ -120,6 +120,30 @@ class CurrentLatency(Latency):
 
 
 @dataclass(frozen=True)
+class VoltageFrame(DriveEffect):
+    """The voltages were turned from the rotor frame by a late angle: ``-j omega int u_s`` times its lateness.
+
+    As those that a log holds in d and q, where the drive turns by an angle that it advances. Voltages that are late are
+    turned as well, but by that of their time.
+    """
+
+    of_speeds = True  # at one speed, the map turns
+
+    def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
+        return bool(abs(value[0]) < min(MOST_DELAY, _MOST_TURNED / turn) * period)
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        return [-1j * at.windows.speed.mean(axis=1) * at.voltage]
+
+    def beyond(self, at: Linearized, value: FloatArray) -> ComplexArray:  # noqa: D102
+        turned = 1j * value[0] * at.windows.speed.mean(axis=1)
+        return np.asarray((turned - np.expm1(turned)) * at.voltage)
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        yield from _late(self.name, found)
+
+
+@dataclass(frozen=True)
 class Compensation(DriveEffect):
     """The drive compensates the drop by other currents than flow, in coarse shapes h.
 

@@ -273,6 +273,7 @@ CASES = {
     "current_latency": (0, lambda x: Drive(measured=lambda t: plain_current(t - x)), 2e-5),
     "angle_latency": (0, lambda x: Drive(angle_error=lambda t: np.full_like(t, -x * SPEED)), 2e-5),
     "voltage_frame": (0, lambda x: Drive(logged=lambda _, u_s: u_s * np.exp(-1j * SPEED * x)), 2e-5),
+    "current_frame": (0, lambda x: Drive(measured=lambda t: plain_current(t) * np.exp(-1j * SPEED * x)), 2e-5),
     "voltage_clock": (0, lambda x: Drive(logged=lambda t, u_s: np.interp(read_at(t, x), t, u_s)), 5e-5),
     "angle_clock": (0, lambda x: Drive(angle_error=lambda t: SPEED * (read_at(t, x) - t)), 1e-4),
     "current_clock": (0, lambda x: Drive(measured=lambda t: plain_current(read_at(t, x))), 1e-4),

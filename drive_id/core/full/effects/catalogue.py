@@ -38,6 +38,7 @@ from drive_id.core.full.effects.sensors import CurrentGains, CurrentOffset, Curr
 from drive_id.core.full.effects.skin import SkinEffect
 from drive_id.core.full.effects.timing import (
     AngleTracking,
+    CurrentFrame,
     CurrentLatency,
     FluxLag,
     LateCompensation,
@@ -60,6 +61,7 @@ CATALOGUE: dict[str, DriveEffect] = {
         Latency("angle_latency"),
         AngleTracking("angle_tracking"),
         VoltageFrame("voltage_frame"),
+        CurrentFrame("current_frame"),
         FastClock("voltage_clock", "voltages", 1.0, 0.0),
         FastClock("angle_clock", "angle", 0.0, 1.0),
         FastClock("current_clock", "currents", -1.0, -1.0),

@@ -130,6 +130,7 @@ class EffectColumns:
         turning = unit * ends.turn[:, 0] * np.exp(1j * half) * np.sinc(half / np.pi)
         read = np.stack([1j * windows.current, image, 1j * image, unit, 1j * unit, turning, 1j * turning])
         begin, end = self._spans(windows)
+        resistance = float(self.estimate[RESISTANCE])
         heat, drop = windows.heat / max(self.heat, 1e-12), self.model.coarse_drop(self.estimate)
         return Linearized(
             **vars(ends),
@@ -137,8 +138,8 @@ class EffectColumns:
             tilt=ends.turn * (1j * psi + by_angle - through(1j * i_dq)),
             through=through,
             mean_flux=self._mean_flux,
-            dropped=float(self.estimate[RESISTANCE]) * read
-            + windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, drop),
+            ohmic=resistance * windows.current,
+            dropped=resistance * read + windows.drop_scale * np.einsum("nlk,l->kn", windows.sensed, drop),
             rectified=windows.drop_scale[:, None] * np.einsum("nlp,l->np", windows.rectified[:, :-1], drop),
             drops=windows.drop_scale[:, None] * np.einsum("nsp,sp->np", windows.shape, self._drops),
             shapes=self.model.shapes,

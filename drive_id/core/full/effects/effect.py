@@ -96,6 +96,7 @@ class Linearized(Ends):
     through: Callable[[ComplexArray], ComplexArray]  # f'(i) x of x (N, 2)
     mean_flux: Callable[[ComplexArray], ComplexArray]  # f(i), averaged over the rotor position
     dropped: FloatArray  # (K, N), voltage in which each error of the currents is read, Vs
+    ohmic: ComplexArray  # (N,), integral of R i, Vs
     rectified: FloatArray  # (N, 3), integral of the magnitude of the drop of each phase, Vs
     drops: FloatArray  # (N, 3), integral of the drop of each phase, Vs
     shapes: Callable[[FloatArray], FloatArray]  # shapes (..., S) of the drop at phase currents (...), A

@@ -53,6 +53,11 @@ def _filtered(windows: Windows, time: float, delay: float) -> ComplexArray:
     return np.asarray(np.sum(shares * windows.shifted, axis=1) / windows.period)
 
 
+def _bent(angle: FloatArray) -> ComplexArray:
+    """Return what a turn by angles (...), rad, is beyond the first order."""
+    return np.asarray(np.expm1(1j * angle) - 1j * angle)
+
+
 @dataclass(frozen=True)
 class Latency(DriveEffect):
     """The angle is late: ``[(omega - omega_0) e^{j theta} (j f - f'(i) j i)]`` times the time.
@@ -136,11 +141,31 @@ class VoltageFrame(DriveEffect):
         return [-1j * at.windows.speed.mean(axis=1) * at.voltage]
 
     def beyond(self, at: Linearized, value: FloatArray) -> ComplexArray:  # noqa: D102
-        turned = 1j * value[0] * at.windows.speed.mean(axis=1)
-        return np.asarray((turned - np.expm1(turned)) * at.voltage)
+        return np.asarray(-_bent(at.windows.speed.mean(axis=1) * value[0]) * at.voltage)
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
         yield from _late(self.name, found)
+
+
+@dataclass(frozen=True)
+class CurrentFrame(VoltageFrame):
+    """The currents were: ``[e^{j theta} f'(i) x] + R int x + int h'(i) x``, x being j omega i, times its lateness."""
+
+    late = True
+
+    def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
+        return [1j * at.windows.speed * at.currents]
+
+    def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
+        (column,) = DriveEffect.columns(self, at)
+        return [column + at.windows.speed.mean(axis=1) * at.dropped[0]]
+
+    def shifted(self, at: Ends, value: FloatArray) -> ComplexArray:  # noqa: D102
+        return np.asarray(np.expm1(1j * value[0] * at.windows.speed) * at.currents)
+
+    def beyond(self, at: Linearized, value: FloatArray) -> ComplexArray:  # noqa: D102
+        bent = _bent(at.windows.speed * value[0])
+        return np.asarray(between(at.turn * at.through(bent * at.currents)) + bent.mean(axis=1) * at.ohmic)
 
 
 @dataclass(frozen=True)

@@ -220,7 +220,7 @@ def turned(samples, late, *names):
 @pytest.mark.parametrize("names", [("u_abc",), ("i_abc",)], ids=["voltages", "currents"])
 def test_what_a_log_turned_by_another_angle_is_found_at_two_speeds(names):
     """Currents were silently 3 standard errors off, with a resistance by speed; voltages a lag of the flux."""
-    result = fitted(*(turned(drive(speed, 2.0), 5e-5, *names) for speed in (400.0, 900.0)))
+    result = fitted(*(turned(drive(speed, 2.0), 5e-5, *names) for speed in (400.0, -900.0)))
     name = "voltage_frame" if "u_abc" in names else "current_frame"
     assert found(result, name).value == pytest.approx(50.0, abs=0.5)
     assert not {each.name for each in result.calibrations} & {"resistance_by_speed", "flux_lag"}

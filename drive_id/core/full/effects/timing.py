@@ -129,10 +129,10 @@ class VoltageFrame(DriveEffect):
     """The voltages were turned from the rotor frame by a late angle: ``-j omega int u_s`` times its lateness.
 
     As those that a log holds in d and q, where the drive turns by an angle that it advances. Voltages that are late are
-    turned as well, but by that of their time.
+    turned as well, but by that of their time. At one speed the map turns, which the reciprocity of another one shows.
     """
 
-    of_speeds = True  # at one speed, the map turns
+    rotates = True
 
     def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
         return bool(abs(value[0]) < min(MOST_DELAY, _MOST_TURNED / turn) * period)
@@ -151,7 +151,7 @@ class VoltageFrame(DriveEffect):
 class CurrentFrame(VoltageFrame):
     """The currents were: ``[e^{j theta} f'(i) x] + R int x + int h'(i) x``, x being j omega i, times its lateness."""
 
-    late = True
+    late, rotates, of_speeds = True, False, True
 
     def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
         return [1j * at.windows.speed * at.currents]

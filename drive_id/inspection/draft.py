@@ -302,7 +302,7 @@ class _DraftText:
             )
             self._unsure.append(
                 "The voltages are d and q components: set angle_advance if the drive compensates its delay, by 0.5 or "
-                "1.5 as a rule. At one speed, no data can tell; R follows it."
+                "1.5 as a rule. Method full finds another one, most surely at several speeds; R follows it."
             )
         rate = u.table.period
         if rate and self._period and abs(rate / self._period - 1) > 2 * _SAME_RATE:

@@ -100,7 +100,7 @@ class Comparison(Tabled):
 
     @property
     def verdict(self) -> str:
-        """Whether both can be of the same machine, two sentences."""
+        """Whether both can be of the same machine, two or three sentences."""
         largest, apart = self.largest_in_sigma, f"The fluxes differ by {100 * max(self.nrmse):.3g} % NRMSE"
         if math.isfinite(largest):
             apart += f", and the largest difference, R included, is {largest:.3g} joint standard errors"
@@ -117,8 +117,17 @@ class Comparison(Tabled):
                 "It may be the same machine at another temperature or with other sensor gains, but the standard errors "
                 "alone do not explain the difference."
             )
-            told = self.by_link or told
+            told = self.by_link or f"{told}{self.by_temperature}"
         return f"{apart}. {told}"
+
+    @property
+    def by_temperature(self) -> str:
+        """A sentence, behind a blank, on the temperatures of R where these are not the same, or one is not known."""
+        one, two = (x.provenance.temperature for x in (self.first, self.second))
+        if one == two:
+            return ""
+        of_a, of_b = ("as recorded" if t is None else f"at {t:g} °C" for t in (one, two))
+        return f" R of A holds {of_a}, R of B {of_b}."
 
     @property
     def by_link(self) -> str:

@@ -81,6 +81,16 @@ def test_the_dc_link_is_named_where_both_fluxes_scale_with_it(link, power, only)
     assert "DC link" not in compare(second.given(u_dc=1.004 * u_dc), first.given(u_dc=u_dc)).verdict
 
 
+def test_the_temperatures_of_resistances_are_told_where_they_differ():
+    """R at 20 °C was compared with R as recorded: 403 standard errors, without a word."""
+    hot, drive = changed(sigma_resistance=1e-6), result()
+    known = replace(drive, provenance=replace(drive.provenance, temperature=20.0))
+    told = compare(hot, known).verdict
+    assert told.endswith("R of A holds as recorded, R of B at 20 °C.")
+    assert "holds" not in compare(hot, drive).verdict
+    assert "holds" not in compare(drive, known).verdict
+
+
 def test_differences_as_of_interpolation_are_those_of_one_machine():
     """A result and its own table, imported again, were doubted at 4.4 standard errors."""
     drive = result(1e-7)

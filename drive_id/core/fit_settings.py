@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from drive_id.common.origins import METHODS, ORIGINS
 from drive_id.common.quantity import counted
 from drive_id.common.settings import Checked, setting
-from drive_id.common.temperature import REFERENCE_TEMPERATURE
+from drive_id.common.temperature import COLDEST, HOTTEST, REFERENCE_TEMPERATURE
 from drive_id.errors import ConfigurationError
 
 _MOST_FUNCTIONS = 1024  # of the paper's regression: memory grows with their square
@@ -71,7 +71,7 @@ class FitSettings(Checked):
     calibrate_currents: bool = setting(True, "full: whether to estimate offsets and gain mismatch of the currents")
     temperatures: tuple[float, ...] = setting(
         (), "full: temperature of each recording, in order; resistance and map then hold at 20 degrees Celsius",
-        unit="degC", minimum=-100.0, maximum=300.0,
+        unit="degC", minimum=COLDEST, maximum=HOTTEST,
     )  # fmt: skip
     u_dc: tuple[float, ...] = setting(
         (), "full: DC-link voltage of each recording, in order", unit="V", minimum=1e-3, maximum=1e6

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from drive_id.common.messages import Message
+from drive_id.common.temperature import COLDEST, HOTTEST
 from drive_id.core import frames
 from drive_id.core.checks.balance import Excerpt, rough_fit
 from drive_id.core.numerics.largest import USUAL_QUANTILE
@@ -16,7 +17,6 @@ _LARGEST_DUTY = 2 / np.sqrt(3) * 1.005  # of half the DC link: the corner of the
 _LEAST_DROP = 0.15
 """Resistive drop at the largest current below which the voltages are taken for duty cycles, V."""
 _CURRENTS = (0.5, 5000.0)  # plausible amplitudes, A: drives up to 500 A in kA lie outside
-_TEMPERATURES = (-100.0, 300.0)  # degrees Celsius, of windings and magnets
 _LARGEST_VOLTAGE = 5000.0  # V, above which the voltages are taken for mV
 _SAME_SCALE = 1.3  # ratio of currents to references that a poor controller may have
 _LEAST_CORRELATION = 0.97  # of both, below which the controller does not follow and their ratio says nothing
@@ -102,7 +102,7 @@ def _temperatures(runs: Sequence[Samples]) -> Iterator[Message]:
     """Yield temperatures that no winding or magnet has, such as those in kelvin or degrees Fahrenheit."""
     for part in ("winding", "magnet"):
         known = np.concatenate([run.or_unknown(f"{part}_temperature") for run in runs])
-        far = known[(known < _TEMPERATURES[0]) | (known > _TEMPERATURES[1])]
+        far = known[(known < COLDEST) | (known > HOTTEST)]
         if len(far):
             yield Message("temperature_range", part=part, temperature=far[0])
 

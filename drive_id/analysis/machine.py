@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from drive_id.analysis.bands import BY_SPEED, ModelErrors, combined
 from drive_id.analysis.iron_loss import IronLoss
 from drive_id.common.quantity import counted, measured
-from drive_id.common.temperature import COPPER, REFERENCE_TEMPERATURE
+from drive_id.common.temperature import COLDEST, COPPER, HOTTEST, REFERENCE_TEMPERATURE
 from drive_id.core.maps.continuation import LongerGrid, continued
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.core.maps.flux_models import positive_definite
@@ -123,8 +123,10 @@ class MachineModel:
             raise ConfigurationError(f"u_dc is {link} V: it must be a positive number.")
         magnet = temperature if magnet_temperature is None else magnet_temperature
         for name, value in (("temperature", temperature), ("magnet_temperature", magnet)):
-            if value is not None and not -100.0 <= value <= 300.0:
-                raise ConfigurationError(f"{name} is {value} degC: it must be between -100 and 300 degC.")
+            if value is not None and not COLDEST <= value <= HOTTEST:
+                raise ConfigurationError(
+                    f"{name} is {value} degC: it must be between {COLDEST:g} and {HOTTEST:g} degC."
+                )
         found = result.flux_map.whole
         if found.inside.sum() < _FEWEST:
             raise CoverageError(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drive_id.common.settings import Checked, setting
+from drive_id.common.temperature import COLDEST, HOTTEST
 
 _SIX_STEP = 1.1027
 """Fundamental of six-step operation, 2/pi u_dc, over the largest sinusoidal voltage, u_dc / sqrt(3), rounded up."""
@@ -27,10 +28,10 @@ class AnalysisSettings(Checked):
         minimum=1e-3,
     )
     temperature: float | None = setting(
-        None, "of the winding; default: that of the experiment", unit="degC", minimum=-100.0, maximum=300.0
+        None, "of the winding; default: that of the experiment", unit="degC", minimum=COLDEST, maximum=HOTTEST
     )
     magnet_temperature: float | None = setting(
-        None, "of the magnets; default: that of the winding", unit="degC", minimum=-100.0, maximum=300.0
+        None, "of the magnets; default: that of the winding", unit="degC", minimum=COLDEST, maximum=HOTTEST
     )
     bandwidth: float = setting(500.0, "of the current controllers", unit="Hz", minimum=1e-3)
     modulation: float = setting(

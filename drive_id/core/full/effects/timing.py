@@ -133,6 +133,7 @@ class VoltageFrame(DriveEffect):
     """
 
     rotates = True
+    price = 0.03  # at one speed, a filter of the currents, which drives have more often, saves as much within 0.3 %
 
     def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
         return bool(abs(value[0]) < min(MOST_DELAY, _MOST_TURNED / turn) * period)

@@ -6,7 +6,6 @@ limits, or with the i_q that gives the torque.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from drive_id.analysis.bands import combined
 from drive_id.analysis.machine import MachineModel
 from drive_id.analysis.operation import Operation, changes
+from drive_id.core.numerics.bisection import largest_possible
 from drive_id.types import TINY, BoolArray, FloatArray
 
 _LINES = 121  # candidates of i_d, both signs
@@ -156,7 +156,7 @@ def corner_speed(model: MachineModel, limits: DriveLimits) -> float:
     high = limits.u_max / max(float(np.hypot(*model.psi_dq(*point.i_dq[0]))) * model.known_pole_pairs(), 1e-12)
     while voltage(high) < limits.u_max:
         high *= 2
-    return _last(lambda speed: voltage(speed) < limits.u_max, high, 60)
+    return largest_possible(lambda speed: voltage(speed) < limits.u_max, high)
 
 
 def top_speed(model: MachineModel, limits: DriveLimits, most: float) -> float:
@@ -166,16 +166,7 @@ def top_speed(model: MachineModel, limits: DriveLimits, most: float) -> float:
         found = float(envelope(model, limits, np.array([speed])).torque[0])
         return bool(np.isfinite(found) and found > 0)
 
-    return most if possible(most) else _last(possible, most, 12)
-
-
-def _last(possible: Callable[[float], bool], high: float, bisections: int) -> float:
-    """Return the largest number from 0 to ``high`` at which something is possible, by bisection."""
-    low = 0.0
-    for _ in range(bisections):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if possible(middle) else (low, middle)
-    return low
+    return most if possible(most) else largest_possible(possible, most, 12)
 
 
 def sigma_envelope(model: MachineModel, limits: DriveLimits, points: Operation) -> FloatArray:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.core.experiment.free_shaft import FASTEST_SWING, LARGEST_BIAS, SLOWEST_SWING, FreeShaft, swing_frequency
+from drive_id.core.numerics.bisection import largest_possible
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
 from drive_id.errors import ConfigurationError
 from drive_id.types import FloatArray
@@ -327,8 +328,4 @@ def _fastest(machine: RoughMachine, limit: float) -> float:
         raise ConfigurationError(
             f"The DC link of {machine.u_dc:g} V does not suffice for i_max at standstill: reduce i_max."
         )
-    low, high = 0.0, limit
-    for _ in range(50):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if machine.steady_voltage(middle) <= most else (low, middle)
-    return low
+    return largest_possible(lambda speed: machine.steady_voltage(speed) <= most, limit)

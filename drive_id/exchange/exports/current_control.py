@@ -16,6 +16,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from drive_id.analysis.machine import halved
 from drive_id.common.quantity import counted
+from drive_id.core.numerics.bisection import largest_possible
 from drive_id.exchange.exports.axes import clean
 from drive_id.exchange.exports.options import ExportOptions
 from drive_id.exchange.exports.table import MapTable
@@ -231,12 +232,11 @@ def phase_margin(
 def _largest(
     gains: FloatArray, inductances: list[FloatArray], resistance: float, delay: float, wanted: float, high: float
 ) -> float:
-    low = 0.0
-    for _ in range(_BISECTIONS):
-        rate = (low + high) / 2
+    def enough(rate: float) -> bool:
         margins = [phase_margin(rate * gains, rate * resistance, resistance, x, delay).min() for x in inductances]
-        low, high = (rate, high) if min(margins) >= wanted else (low, rate)
-    return low
+        return bool(min(margins) >= wanted)
+
+    return largest_possible(enough, high, _BISECTIONS)
 
 
 def divided(axis: FloatArray, parts: int) -> FloatArray:

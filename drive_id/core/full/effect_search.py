@@ -89,6 +89,7 @@ is too coarse had a filter of the currents confirmed that saved as much, and R w
 _LATE = {name for name, effect in CATALOGUE.items() if effect.late}
 _ROTATING = {DELAY, *(name for name, effect in CATALOGUE.items() if effect.rotates)}
 """Of these, the data hold one at one speed: a delay less a lag of the flux is a rotation, which no map shows."""
+_BESIDE_DELAY = {DELAY, *(name for name, effect in CATALOGUE.items() if effect.beside_delay)}
 _TURNING = {DELAY, *(name for name, effect in CATALOGUE.items() if effect.turns)}
 _BESIDE = {name: effect.beside for name, effect in CATALOGUE.items() if effect.beside}
 
@@ -221,7 +222,9 @@ class _Search:
         if any(name in names and other not in names for name, other in _BESIDE.items()):
             return False
         members = names | {DELAY} if delay != self.usual else names
-        if len(members & _LATE) > 1 or (self.rules.one_speed and len(members & _ROTATING) > 1):
+        rotating = members & _ROTATING if self.rules.one_speed else frozenset()
+        timed = rotating <= _BESIDE_DELAY and delay > 0 and (2 * delay).is_integer()
+        if len(members & _LATE) > 1 or (len(rotating) > 1 and not timed):
             return False
         if self.rules.one_speed and any(CATALOGUE[name].of_speeds for name in names):
             return False

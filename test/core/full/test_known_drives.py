@@ -232,3 +232,12 @@ def test_voltages_that_a_log_turned_by_another_angle_are_found_at_one_speed():
     result = fitted(turned(drive(), 5e-5, "u_abc"))
     assert found(result, "voltage_frame").value == pytest.approx(50.0, abs=1.0)
     right(result)
+
+
+def test_late_voltages_turned_by_an_angle_that_is_not_advanced_are_found_at_one_speed():
+    """As a drive logs what it commands in d and q a sample before it acts, with the angle that it measured."""
+    late = turned(drive(), 1.5e-4, "u_abc")
+    result = fitted(replace(late, u_abc=np.roll(late.u_abc, -1, axis=0)).part(0, len(late) - 2))
+    assert found(result, "voltage_frame").value == pytest.approx(150.0, abs=1.0)
+    assert found(result, "voltage_delay").value == pytest.approx(1.0)
+    right(result)

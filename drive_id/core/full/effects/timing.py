@@ -132,7 +132,7 @@ class VoltageFrame(DriveEffect):
     turned as well, but by that of their time. At one speed the map turns, which the reciprocity of another one shows.
     """
 
-    rotates = True
+    rotates, beside_delay = True, True
     price = 0.03  # at one speed, a filter of the currents, which drives have more often, saves as much within 0.3 %
 
     def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102

@@ -145,6 +145,7 @@ def effect_entries(fit: FullFit) -> list[Calibration]:
             open=_open(fit, taken.name),
             several_speeds=fit.steady is None,
             fastest=float(np.abs(fit.assessment.speeds).max()),
+            period=float(np.mean([windows.period.mean() for windows in kept])),
             resistance=float(estimate[RESISTANCE]),
             inductance=float(slopes[0, 0, 0]),
             i_max=fit.model.i_max,

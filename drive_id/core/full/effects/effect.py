@@ -186,6 +186,7 @@ class Reported:
     open: bool  # whether one of them would change what users read
     several_speeds: bool
     fastest: float  # largest electrical speed, rad/s
+    period: float  # sample period, s
     resistance: float  # ohm
     inductance: float  # d psi_d / d i_d at zero current, H
     i_max: float

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -33,9 +34,9 @@ _MUCH_LAG = 0.05
 follow in 50 ms, the map was 0.15 % off, of 6.3 % 0.8 %."""
 
 
-def _late(name: str, found: Reported) -> Iterator[Calibration]:
+def _late(name: str, found: Reported, **more: Any) -> Iterator[Calibration]:
     x, dx = float(found.value[0]), float(found.sigma[0])
-    yield found.entry(name, x, dx, "us", scale=1e6, size=abs(x), late=x > 0)
+    yield found.entry(name, x, dx, "us", scale=1e6, size=abs(x), late=x > 0, **more)
 
 
 def _filtered(windows: Windows, time: float, delay: float) -> ComplexArray:
@@ -145,7 +146,7 @@ class VoltageFrame(DriveEffect):
         return np.asarray(-_bent(at.windows.speed.mean(axis=1) * value[0]) * at.voltage)
 
     def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield from _late(self.name, found)
+        yield from _late(self.name, found, advance=float(found.value[0]) / found.period)
 
 
 @dataclass(frozen=True)

@@ -316,7 +316,10 @@ def search_effects(
     least = _LEAST_VOLTAGE**2 / _PRICE * rows * solver.total_voltage + float(solver.total[own, own])
     rules = _Rules(few, plain, noise, tuple(allowed), turn, one_speed, parts(sums.kept()), least)
     unconfirmed: list[str] = []
-    start, every = _about_lateness(_about_decimation(plain_fit, rules), rules), rules.among(sums)
+    start = _about_decimation(plain_fit, rules)
+    if start is not plain_fit:  # the voltages of such a log turn as if by another angle, and its misfit takes anything
+        rules = replace(rules, allowed=tuple(name for name in rules.allowed if name not in _BESIDE_DELAY))
+    start, every = _about_lateness(start, rules), rules.among(sums)
     whole_fit = cache(lambda: plain_fit if few is sums else settled_about(sums, columns, solution))
     for number in count(1):
         state, chosen, search = _about_its_best(start, lambda: plain_fit, rules)

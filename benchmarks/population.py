@@ -71,7 +71,7 @@ CAUSES = {
     ),
     "timing": (
         "angle_latency", "angle_tracking", "current_latency", "sampling_instant", "voltage_delay*", "time_shift",
-        "voltage_frame", "current_frame", "fast_clock*", "*_clock",
+        "voltage_frame", "current_frame", "log_frame", "fast_clock*", "*_clock",
         "decimated", "outlier", "single_sample", "no_checksums", "misfit.time",
     ),
     "angle": ("angle_offset", "resolver_offset", "mirror_asymmetry", "magnet_negative"),

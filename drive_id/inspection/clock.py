@@ -116,11 +116,14 @@ def by_own_time(table: Table) -> Iterator[Table]:
     They are of one clock and begin together: a further time of the same rows follows another at once, or ends the
     table. Columns of equal times stay together.
     """
+    if len(table.stamp):
+        yield table
+        return
     names = list(table.columns)
     spans = {k: span for k, name in enumerate(names) if (span := _span(table, name))}
     edges = [*spans, len(names)]
     begins, lasts = np.array([*spans.values()]).reshape(-1, 2).T
-    apart = len(table.stamp) == 0 and len(spans) > 1 and edges[0] == 0 and min(np.diff(edges)) > 1
+    apart = len(spans) > 1 and edges[0] == 0 and min(np.diff(edges)) > 1
     if apart and np.ptp(begins) < _TOGETHER * float(np.max(lasts - begins)):
         parts: dict[bytes, list[str]] = {}
         for first, following in pairwise(edges):

@@ -89,7 +89,7 @@ is too coarse had a filter of the currents confirmed that saved as much, and R w
 _LATE = {name for name, effect in CATALOGUE.items() if effect.late}
 _ROTATING = {DELAY, *(name for name, effect in CATALOGUE.items() if effect.rotates)}
 """Of these, the data hold one at one speed: a delay less a lag of the flux is a rotation, which no map shows."""
-_BESIDE_DELAY = {DELAY, *(name for name, effect in CATALOGUE.items() if effect.beside_delay)}
+_OF_LOG = {name for name, effect in CATALOGUE.items() if effect.of_log}
 _TURNING = {DELAY, *(name for name, effect in CATALOGUE.items() if effect.turns)}
 _BESIDE = {name: effect.beside for name, effect in CATALOGUE.items() if effect.beside}
 
@@ -223,7 +223,7 @@ class _Search:
             return False
         members = names | {DELAY} if delay != self.usual else names
         rotating = members & _ROTATING if self.rules.one_speed else frozenset()
-        timed = rotating <= _BESIDE_DELAY and delay > 0 and (2 * delay).is_integer()
+        timed = rotating <= _OF_LOG | {DELAY} and delay > 0 and (2 * delay).is_integer()
         if len(members & _LATE) > 1 or (len(rotating) > 1 and not timed):
             return False
         if self.rules.one_speed and any(CATALOGUE[name].of_speeds for name in names):
@@ -318,7 +318,7 @@ def search_effects(
     unconfirmed: list[str] = []
     start = _about_decimation(plain_fit, rules)
     if start is not plain_fit:  # the voltages of such a log turn as if by another angle, and its misfit takes anything
-        rules = replace(rules, allowed=tuple(name for name in rules.allowed if name not in _BESIDE_DELAY))
+        rules = replace(rules, allowed=tuple(name for name in rules.allowed if name not in _OF_LOG))
     start, every = _about_lateness(start, rules), rules.among(sums)
     whole_fit = cache(lambda: plain_fit if few is sums else settled_about(sums, columns, solution))
     for number in count(1):

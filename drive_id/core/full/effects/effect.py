@@ -241,8 +241,9 @@ class DriveEffect(ABC):
     """Whether currents or angle are late. If both are by the same time, the voltages are early by it: data hold one."""
     rotates: ClassVar[bool] = False
     """Whether, at one speed, it rotates the flux against the currents, or does so beside another one: data hold one."""
-    beside_delay: ClassVar[bool] = False
-    """Whether data at one speed hold it beside voltages that are late by half or whole samples: these shift as well."""
+    of_log: ClassVar[bool] = False
+    """Whether a log turned a signal. At one speed, data hold it beside a delay by half or whole samples, which shifts
+    as well; in a log of every n-th sample it looks like the misfit."""
     of_link: ClassVar[bool] = False
     """Whether it is a variation of the DC link, which resembles the misfit of a map."""
     positive: ClassVar[bool] = False

@@ -34,9 +34,14 @@ _MUCH_LAG = 0.05
 follow in 50 ms, the map was 0.15 % off, of 6.3 % 0.8 %."""
 
 
-def _late(name: str, found: Reported, **more: Any) -> Iterator[Calibration]:
+def _short(value: FloatArray, turn: float, period: float) -> bool:
+    """Tell whether a lateness is one of few samples, which turns the flux by little."""
+    return bool(abs(value[0]) < min(MOST_DELAY, _MOST_TURNED / turn) * period)
+
+
+def _late(name: str, found: Reported, key: str = "", **more: Any) -> Iterator[Calibration]:
     x, dx = float(found.value[0]), float(found.sigma[0])
-    yield found.entry(name, x, dx, "us", scale=1e6, size=abs(x), late=x > 0, **more)
+    yield found.entry(name, x, dx, "us", key, scale=1e6, size=abs(x), late=x > 0, **more)
 
 
 def _filtered(windows: Windows, time: float, delay: float) -> ComplexArray:
@@ -70,7 +75,7 @@ class Latency(DriveEffect):
     turns, late, cause = True, True, "angle"
 
     def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
-        return bool(abs(value[0]) < min(MOST_DELAY, _MOST_TURNED / turn) * period)
+        return _short(value, turn, period)
 
     def turned(self, at: Ends, value: FloatArray) -> FloatArray:  # noqa: D102
         return np.asarray(value[0] * (at.windows.speed - at.steady))
@@ -126,18 +131,30 @@ class CurrentLatency(Latency):
 
 
 @dataclass(frozen=True)
-class VoltageFrame(DriveEffect):
-    """The voltages were turned from the rotor frame by a late angle: ``-j omega int u_s`` times its lateness.
+class LogFrame(DriveEffect):
+    """A log turned a signal from the rotor frame by a late angle: it holds d and q, and the drive advances its own."""
 
-    As those that a log holds in d and q, where the drive turns by an angle that it advances. Voltages that are late are
-    turned as well, but by that of their time. At one speed the map turns, which the reciprocity of another one shows.
-    """
-
-    rotates, beside_delay = True, True
+    signal: str
+    of_log = True
     price = 0.03  # at one speed, a filter of the currents, which drives have more often, saves as much within 0.3 %
 
     def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
-        return bool(abs(value[0]) < min(MOST_DELAY, _MOST_TURNED / turn) * period)
+        return _short(value, turn, period)
+
+    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
+        advance = float(found.value[0]) / found.period
+        yield from _late(self.name, found, "log_frame", signal=self.signal, advance=advance)
+
+
+@dataclass(frozen=True)
+class VoltageFrame(LogFrame):
+    """The voltages: ``-j omega int u_s`` times the lateness of that angle.
+
+    Voltages that are late are turned as well, but by that of their time. At one speed the map turns, which the
+    reciprocity of another one shows.
+    """
+
+    rotates = True
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
         return [-1j * at.windows.speed.mean(axis=1) * at.voltage]
@@ -145,21 +162,18 @@ class VoltageFrame(DriveEffect):
     def beyond(self, at: Linearized, value: FloatArray) -> ComplexArray:  # noqa: D102
         return np.asarray(-_bent(at.windows.speed.mean(axis=1) * value[0]) * at.voltage)
 
-    def report(self, found: Reported) -> Iterator[Calibration]:  # noqa: D102
-        yield from _late(self.name, found, advance=float(found.value[0]) / found.period)
-
 
 @dataclass(frozen=True)
-class CurrentFrame(VoltageFrame):
-    """The currents were: ``[e^{j theta} f'(i) x] + R int x + int h'(i) x``, x being j omega i, times its lateness."""
+class CurrentFrame(LogFrame):
+    """The currents: ``[e^{j theta} f'(i) x] + R int x + int h'(i) x``, x being j omega i, times the lateness."""
 
-    late, rotates, of_speeds = True, False, True
+    late, of_speeds = True, True
 
     def shifts(self, at: Ends) -> list[ComplexArray]:  # noqa: D102
         return [1j * at.windows.speed * at.currents]
 
     def columns(self, at: Linearized) -> list[ComplexArray]:  # noqa: D102
-        (column,) = DriveEffect.columns(self, at)
+        (column,) = super().columns(at)
         return [column + at.windows.speed.mean(axis=1) * at.dropped[0]]
 
     def shifted(self, at: Ends, value: FloatArray) -> ComplexArray:  # noqa: D102

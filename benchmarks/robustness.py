@@ -102,13 +102,14 @@ def by_own_clock(samples: Samples, _: MachineMap) -> Samples:
     return replace(samples, i_abc=np.stack([np.interp(read, t, phase) for phase in samples.i_abc.T], axis=1))
 
 
-def turned_late(name: str) -> Spoil:
+def turned_late(signal: str) -> Spoil:
     """Return a log of a signal in d and q that was turned to phases by an angle one sample late."""
+    name = {"currents": "i_abc", "voltages": "u_abc"}[signal]
 
     def spoil(samples: Samples, _: MachineMap) -> Samples:
         turn = np.exp(-1j * samples.sample_period * samples.speed)
         turned: Changes = {name: frames.phases(frames.space_vector(getattr(samples, name)) * turn)}
-        return replace(samples, **turned)
+        return replace(samples, **turned, turned=frozenset({signal}))
 
     return spoil
 
@@ -182,8 +183,8 @@ EFFECTS = {
         of(log_zero_sequence=True, resolver_quantization=2 * np.pi / 4096, stamp_jitter=2e-5),
     ),
     "clock": Effect("currents logged by a clock that is 20 ppm fast", spoil=by_own_clock, short=True),
-    "current_frame": Effect("currents in d and q turned by an angle one sample late", spoil=turned_late("i_abc")),
-    "voltage_frame": Effect("voltages in d and q turned by an angle one sample late", spoil=turned_late("u_abc")),
+    "current_frame": Effect("currents in d and q turned by an angle one sample late", spoil=turned_late("currents")),
+    "voltage_frame": Effect("voltages in d and q turned by an angle one sample late", spoil=turned_late("voltages")),
     "decimated": Effect("log decimated to 2 kHz", of(log_decimation=5)),
     "decimated_more": Effect("log decimated to 1 kHz", of(log_decimation=10)),
     "duty": Effect("duty cycles taken for volts", spoil=as_duty_cycles, short=True),

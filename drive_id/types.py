@@ -10,6 +10,7 @@ import html
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
 from typing import Any, TypeVar
 
 import numpy as np
@@ -77,6 +78,9 @@ class Samples:
         Optional signals interpolated at ``stamp``, V, degrees Celsius (twice) and Nm, NaN where unknown.
     angle_error : float
         Standard error of an angle that was interpolated, rad; 0 for an angle recorded with each sample.
+    turned : frozenset of str, optional
+        Which of "currents" and "voltages" a log held in d and q, so that the angle of that transformation counts.
+        Default: not known.
 
     Raises
     ------
@@ -100,6 +104,7 @@ class Samples:
     magnet_temperature: FloatArray | None = None
     shaft_torque: FloatArray | None = None
     angle_error: float = 0.0
+    turned: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.stamp)
@@ -258,7 +263,13 @@ class Samples:
             ),
             truth=parts[0].truth if all(part.truth is parts[0].truth for part in parts) else None,
             angle_error=math.sqrt(float(np.average([part.angle_error**2 for part in parts], weights=sizes))),
+            turned=reduce(either_turned, (part.turned for part in parts)),
         )
+
+
+def either_turned(one: frozenset[str] | None, other: frozenset[str] | None) -> frozenset[str] | None:
+    """Return which signals of two logs were held in d and q in either; None if one of them does not tell."""
+    return None if one is None or other is None else one | other
 
 
 def fixed(values: NDArray[Scalar]) -> NDArray[Scalar]:

@@ -109,6 +109,7 @@ class Translator:
             scalars={name: topic for name, topic in scalars.items() if name == signals.voltages.scaled_by},
             scaled_by=signals.voltages.scaled_by,
             to_phases=conversions(signals),
+            turned=signals.turned,
             sort=sort,
         )
         self._next = 0

@@ -58,6 +58,7 @@ class Delay:
 
     value: float = np.nan  # samples; NaN when not estimated
     sigma: float = np.nan
+    off: float = 0.0  # by which the estimate differs from the value, which may be the nearest half or whole number
 
     def significant(self, turn: float) -> bool:
         """Tell whether it differs significantly from zero and rotates the voltages by a relevant angle.
@@ -93,7 +94,7 @@ class Delay:
     @property
     def certain(self) -> bool:
         """Whether no other half or whole number of samples is as likely."""
-        return _CERTAIN * self.sigma < HALF
+        return _CERTAIN * self.sigma < HALF - abs(self.off)
 
     @property
     def physical(self) -> bool:

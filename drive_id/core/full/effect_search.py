@@ -336,7 +336,8 @@ def search_effects(
             rules = replace(rules, allowed=tuple(sorted(chosen.names - {weak})))
     delay = state.found.delay
     if chosen.delay != plain.delay:
-        delay = Delay(state.solution.spec.delay, delay.sigma)  # that of the fit, of which the set's differs by little
+        value = state.solution.spec.delay  # that of the fit, of which the set's differs by little
+        delay = replace(delay, value=value, off=delay.value - value)
     elif turn > 0:
         delay = estimate_delay(state.solver, state.solution, noise)
     search = replace(search, rules=every)  # what was not confirmed is a rival all the same

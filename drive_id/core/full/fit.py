@@ -354,17 +354,17 @@ def _unseen(sums: WindowSums, solution: FullSolution) -> float:
 
 
 def _by_delay(solver: Solver, solution: FullSolution, selection: Selection) -> FloatArray:
-    """Return the change (size,) of the estimate by a standard error of a delay that is no certain half or whole sample.
+    """Return the change (size,) of the estimate by the error of a delay that is no certain half or whole sample.
 
-    At a constant speed it turns all fluxes, and the residuals hardly change. A delay that was not taken is one of none,
-    unless the data leave room for half a sample: for more than that it does not count. Late currents or a late angle
-    stand for it.
+    That is a standard error beyond the estimate, from which the nearest one may be off. At a constant speed it turns
+    all fluxes, and the residuals hardly change. A delay that was not taken is one of none, unless the data leave room
+    for half a sample: for more than that it does not count. Late currents or a late angle stand for it.
     """
     delay, found = Delay(solution.spec.delay, 0.0), selection.search.found.delay
     taken, late = delay.value == found.value, any(CATALOGUE[name].late for name in solution.spec.effects)
     if np.isnan(found.sigma) or (found.certain and (delay.physical or not taken)) or (late and not taken):
         return np.zeros(solver.model.size)
-    step = found.sigma if taken else min(found.sigma, HALF)
+    step = found.off + np.copysign(found.sigma, found.off) if taken else min(found.sigma, HALF)
     other = float(np.clip(delay.value + step, -MOST_DELAY, MOST_DELAY))
     return solver.solve(replace(solution.spec, delay=other)).estimate - solution.estimate
 

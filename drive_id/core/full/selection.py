@@ -471,6 +471,7 @@ def effects_to_try(sums: WindowSums, settings: FitSettings) -> tuple[str, ...]:
         temperatures=bool(settings.temperatures),
         pole_pairs=settings.pole_pairs > 0,
         sensors=settings.calibrate_currents,
+        turned=sums.turned,
     )
     turning = ORIGINS[settings.method].turning
     return tuple(name for name, effect in CATALOGUE.items() if effect.possible(known) and (turning or effect.at_rest))

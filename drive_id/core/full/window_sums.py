@@ -20,7 +20,7 @@ from drive_id.core.full.windows import MEASURED, Terms, WindowCutter, Windows, i
 from drive_id.core.numerics.normal_equations import add_triangle, congruent, triangle_of, unpacked
 from drive_id.core.numerics.running_sums import SavedSums, exactly
 from drive_id.core.numerics.threads import MOST_THREADS, begun, in_threads, one_blas_thread
-from drive_id.types import TINY, BoolArray, FloatArray, Samples
+from drive_id.types import TINY, BoolArray, FloatArray, Samples, either_turned
 
 FOLDS = 5
 """Parts of the data, each of which is left out once: the usual number; time grows with it."""
@@ -54,6 +54,8 @@ class WindowSums:
         self.model = model
         self.windows = 0
         self.outside = 0
+        self.turned: frozenset[str] | None = frozenset()
+        """Which signals a log held in d and q, see :class:`~drive_id.types.Samples`."""
         self._link = np.zeros(2)  # integral of the DC-link voltage, V s, over the time in which it was recorded, s
         self._cutter = WindowCutter(model.shapes, SEGMENT)
         self._folds: list[FloatArray] = []
@@ -88,6 +90,7 @@ class WindowSums:
 
         With ``prompt``, all products are formed immediately, so that :meth:`finished` is quick even after many samples.
         """
+        self.turned = either_turned(self.turned, samples.turned)
         if samples.dc_link_voltage is not None:
             known = samples.dc_link_voltage[np.isfinite(samples.dc_link_voltage)]
             self._link = self._link + samples.sample_period * np.array([known.sum(), len(known)])
@@ -124,7 +127,7 @@ class WindowSums:
             other._flush()
         other._form_products()
         other._short = dict(self._short)
-        other.outside, other._link = self.outside, self._link
+        other.outside, other.turned, other._link = self.outside, self.turned, self._link
         return other
 
     def freed(self, orders: tuple[int, ...]) -> WindowSums:
@@ -250,6 +253,7 @@ class WindowSums:
         self._restart()
         self.windows += theirs.windows
         self.outside += theirs.outside
+        self.turned = either_turned(self.turned, theirs.turned)
         self._link = self._link + theirs._link  # noqa: SLF001
         self._thin()
 
@@ -259,6 +263,8 @@ class WindowSums:
         done = self.finished()
         out: SavedSums = {"outside": np.array(done.outside), "every": np.array(done._every)}  # noqa: SLF001  # of its own class
         out["link"] = done._link  # noqa: SLF001
+        if done.turned is not None:
+            out["turned"] = np.array(sorted(done.turned), np.str_)
         out["segment"] = np.array(sorted(done._kept), np.int64)  # noqa: SLF001
         kept = [Windows.joined(list(both)) for both in zip(done.kept(), done.kept_short(), strict=True)]
         out["length"] = np.array([len(windows) for windows in kept], np.int64)
@@ -285,6 +291,7 @@ class WindowSums:
             self._recording = int(together.recording.max())
         self._form_products()
         self.outside, self._every, self._link = int(state["outside"]), int(state["every"]), np.array(state["link"])
+        self.turned = frozenset(map(str, state["turned"])) if "turned" in state else None
         if "folds" in state:
             self._folds = list(exactly(state["folds"], np.array(self.triangles())))
             self._squares = exactly(state["squares"], self._squares)

@@ -66,6 +66,7 @@ def join(
     *,
     scaled_by: str = "",
     to_phases: tuple[ToPhases | None, ToPhases | None] = (None, None),
+    turned: frozenset[str] | None = None,
 ) -> JoinedSamples:
     """Join the signals of one drive.
 
@@ -84,7 +85,7 @@ def join(
     scalars : mapping of str to Signal, optional
         (N, 1) values, optional signals by their names in :class:`~drive_id.types.Samples`, of any rate; another name is
         that of a signal which only scales the voltages.
-    scaled_by, to_phases
+    scaled_by, to_phases, turned
         See :class:`StreamJoin`.
 
     Raises
@@ -107,6 +108,7 @@ def join(
         scalars={name: signal.name for name, signal in (scalars or {}).items()},
         scaled_by=scaled_by,
         to_phases=to_phases,
+        turned=turned,
     )
     for name, signal in (scalars or {}).items():
         joining.add_scalar(name, signal)
@@ -167,6 +169,8 @@ class StreamJoin:
     to_phases : tuple of callable or None
         Of currents and voltages that are no phase quantities: returns these (N, 3) for the recorded values, the angle
         (N,), rad, the speed (N,), rad/s, and the sample period, s.
+    turned : frozenset of str, optional
+        See :class:`~drive_id.types.Samples`.
 
     Notes
     -----
@@ -187,6 +191,7 @@ class StreamJoin:
         scalars: Mapping[str, str] | None = None,
         scaled_by: str = "",
         to_phases: tuple[ToPhases | None, ToPhases | None] = (None, None),
+        turned: frozenset[str] | None = None,
     ) -> None:
         held = min(MOST_HELD, capacity // 2) if sort else 0
         self.tracks = tuple(SignalTrack(name, recorded=recorded, held=held) for name in names)
@@ -203,6 +208,7 @@ class StreamJoin:
         self._scalars = {name: ScalarTrack(topic, capacity) for name, topic in (scalars or {}).items()}
         self._scaled_by = scaled_by
         self._to_phases = to_phases
+        self._turned = turned
         self._waiting: list[Piece] = []  # for the optional signals
         self._cut = 0  # samples without a DC-link voltage
         self._offsets: tuple[int, ...] = ()  # of voltages and resolver, ns; empty until they are known
@@ -529,6 +535,7 @@ class StreamJoin:
             sample_period=period,
             run_starts=starts,
             i_dq_reference=self._reference(stamp, period) if self._reference else None,
+            turned=self._turned,
         )
         return Piece(samples, continues)
 

@@ -459,6 +459,13 @@ class SignalMap:
         return not self.currents.topic
 
     @property
+    def turned(self) -> frozenset[str] | None:
+        """Which of currents and voltages are in d and q; None for our own topics, to which a bridge may turn them."""
+        if (self.currents, self.voltages) == (_our_phases("phase_currents"), _our_phases("phase_voltages")):
+            return None
+        return frozenset(name for name in ("currents", "voltages") if getattr(self, name).frame == "dq")
+
+    @property
     def at_once(self) -> bool:
         """Whether a log must be read as a whole, for its time, angle or voltages depend on all of it."""
         rotor = self.resolver

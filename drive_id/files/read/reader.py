@@ -161,6 +161,7 @@ def _joined_at_once(
             {name: signal for name, signal in found.items() if name in INTERPOLATED},
             scaled_by=signals.voltages.scaled_by,
             to_phases=conversions(signals),
+            turned=signals.turned,
         )
     warnings.extend((*result.report.warnings, *stream.remarks(), *said))
     yield Piece(undecimated(replace(result.samples, angle_error=angle_error), signals), False)
@@ -192,6 +193,7 @@ def _joined(
         scalars={name: topics[name].name for name in INTERPOLATED if name in topics},
         scaled_by=signals.voltages.scaled_by,
         to_phases=conversions(signals),
+        turned=signals.turned,
     )
     before: SignalPart | None = None
     with closing(prefetched(stream.parts(), _AHEAD, threads)) as parts:

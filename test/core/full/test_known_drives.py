@@ -227,6 +227,11 @@ def test_what_a_log_turned_by_another_angle_is_found_at_two_speeds(names):
     right(result)
 
 
+def test_a_log_of_phases_has_no_such_angle():
+    recordings = [replace(turned(drive(speed, 2.0), 5e-5, "u_abc"), turned=frozenset()) for speed in (400.0, -900.0)]
+    assert "voltage_frame" not in {each.name for each in fitted(*recordings).calibrations}
+
+
 def test_voltages_that_a_log_turned_by_another_angle_are_found_at_one_speed():
     """Maps that are not reciprocal were 1.9 % off; a filter of the currents looks alike, by less."""
     result = fitted(turned(drive(), 5e-5, "u_abc"))

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 import tracemalloc
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from full_design import basis, design
@@ -264,7 +266,7 @@ def test_a_snapshot_leaves_the_stream_alone(model, samples):
 
 def test_merging_is_accumulating_together(model, samples):
     """Folds and segments, too, in which the deviations are taken."""
-    other = record(duration=1.1, speed=-300.0, seed=1)
+    other = replace(record(duration=1.1, speed=-300.0, seed=1), turned=frozenset({"currents"}))
     merged = gathered(model, samples)
     merged.merge(gathered(model, other))
     merged.merge(gathered(model, samples))
@@ -272,6 +274,7 @@ def test_merging_is_accumulating_together(model, samples):
     np.testing.assert_allclose(merged.folds, together.folds, rtol=1e-9, atol=1e-9)
     np.testing.assert_array_equal(merged.counts, together.counts)
     assert merged.windows == together.windows
+    assert (merged.turned, together.turned) == (None, None)  # the second recording tells, the others do not
     for one, two in zip(merged.kept(), together.kept(), strict=True):
         shift = (two.time - one.time) / 0.25
         np.testing.assert_allclose(shift, np.rint(shift), atol=1e-9)
@@ -282,11 +285,12 @@ def test_merging_is_accumulating_together(model, samples):
 @pytest.mark.parametrize("most", [window_sums.MOST_KEPT, 700])
 def test_a_state_restores_all_of_it(model, samples, monkeypatch, most):
     monkeypatch.setattr(window_sums, "MOST_KEPT", most)
-    information = gathered(model, samples)
+    information = gathered(model, replace(samples, turned=frozenset({"currents"})))
     restored = WindowSums(model)
     restored.restore(information.state())
     np.testing.assert_allclose(restored.folds, information.folds, rtol=1e-12, atol=1e-12)
     assert (restored.windows, restored.outside) == (information.windows, information.outside)
+    assert restored.turned == information.turned
     assert [len(kept) for kept in restored.kept()] == [len(kept) for kept in information.kept()]
     for one in (restored, information):
         one.add(samples)

@@ -65,6 +65,7 @@ def test_dq_quantities_of_the_resolvers_angle(tmp_path, truth):
                                "fields: ['data[2]', 'data[3]'], frame: dq, angle_advance: 1.5",
                                "angle: data[4], speed: data[5]"))  # fmt: skip
     assert_same(found, truth)
+    assert found.turned == {"currents", "voltages"}
 
 
 def test_dq_quantities_of_their_own_angle_and_alpha_beta(tmp_path, truth):
@@ -78,6 +79,7 @@ def test_dq_quantities_of_their_own_angle_and_alpha_beta(tmp_path, truth):
                                "fields: ['data[2]', 'data[3]'], frame: dq, angle: data[4], angle_unit: deg",
                                "angle: data[5], speed: data[6]"))  # fmt: skip
     assert_same(found, truth)
+    assert found.turned == {"voltages"}
 
 
 @pytest.mark.parametrize("count", [2, 3])

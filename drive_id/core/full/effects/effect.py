@@ -162,6 +162,7 @@ class Recorded:
     temperatures: bool  # whether temperatures are given
     pole_pairs: bool  # whether their number is
     sensors: bool  # whether faults of the current sensors are looked for
+    turned: frozenset[str] | None  # which of currents and voltages a log held in d and q, if that is known
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from drive_id.core.frames import ComplexArray
-from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Reported, between
+from drive_id.core.full.effects.effect import Calibration, DriveEffect, Ends, Linearized, Recorded, Reported, between
 from drive_id.core.full.integrals import LAGS
 from drive_id.core.full.windows import EARLIEST, MOST_DELAY, SHIFTS, Windows
 from drive_id.types import TINY, FloatArray
@@ -137,6 +137,9 @@ class LogFrame(DriveEffect):
     signal: str
     of_log = True
     price = 0.03  # at one speed, a filter of the currents, which drives have more often, saves as much within 0.3 %
+
+    def possible(self, known: Recorded) -> bool:  # noqa: D102
+        return known.turned is None or self.signal in known.turned
 
     def plausible(self, value: FloatArray, turn: float, period: float) -> bool:  # noqa: D102
         return _short(value, turn, period)

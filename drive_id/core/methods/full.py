@@ -79,25 +79,8 @@ class FullMethod:
         locked = _locked(evidence)
         if locked:
             evidence = _without_rotation(evidence)
-        assert evidence.windows is not None
-        information = evidence.windows.finished()
-        if information.windows < information.model.flux.parameters:
-            raise DataError(Message("few_windows", windows=information.windows))
-        sums = information.triangles()
-        check_sums(sums, sum(each[0] for each in sums))  # those of the voltages come first
-        if locked:
-            information = _at_one_position(information)
-        fit = fit_full(
-            information, evidence.settings, evidence.turn, evidence.current_variance, earlier,
-            angle_variance=evidence.angle_variance, interpolation_variance=evidence.interpolation_variance,
-        )  # fmt: skip
-        if (refused := effect_refused(fit)) is not None:
-            raise DataError(refused)
-        if (jump := fit.assessment.jump) is not None:
-            where = {"later": jump.later, "time": jump.time, "recording": jump.recording + 1}
-            if np.isfinite(jump.drift):
-                raise DataError(Message("fast_clock.unknown", drift=1e6 * abs(jump.drift), **where))
-            raise DataError(Message("delay_jump", **where))
+        sums = _finished(evidence)
+        fit = _fitted(evidence, sums, earlier)
         grid = evidence.visits.grid()
         found = _calibrations(evidence, fit, grid, inside)
         offset = next((c.value for c in found if c.name == calibration.RESOLVER_OFFSET and c.applied), 0.0)
@@ -111,18 +94,15 @@ class FullMethod:
             *_on_map(evidence, fit, psi, sigma, inside),
             *_on_calibration(evidence, fit, found),
         )
-        earlier, scaled = EarlierFit.of(fit), calibration.by_hidden_faults(fit, found, grid[inside])
-        if scaled.any():
-            scaled, assessment = scaled.reshape(len(scaled), -1), fit.assessment
-            sources = (*["sensors"] * scaled.shape[1], *assessment.sources)
-            changes = np.hstack([scaled, assessment.changes])
-            fit = replace(fit, assessment=replace(assessment, changes=changes, sources=sources))
+        earlier, hidden = EarlierFit.of(fit), calibration.by_hidden_faults(fit, found, grid[inside])
+        if hidden.any():
+            fit = _with_hidden_faults(fit, hidden)
             frame = replace(frame, fit=fit)
             sigma, everywhere = _sigmas(frame, grid, inside)
         current = np.linspace(-evidence.i_max, evidence.i_max, CURVE_POINTS)
         drops, deviation = _inverter(fit, current)
         unknowns = fit.solution.basis.shape[1]
-        share = information.windows / (information.windows + information.outside)
+        share = sums.windows / (sums.windows + sums.outside)
         return Estimate(
             resistance=fit.solution.resistance,
             sigma_resistance=fit.sigma(RESISTANCE),
@@ -142,7 +122,7 @@ class FullMethod:
             effects=_effect_voltages(evidence, fit),
             report=FitReport(
                 samples_used=round((evidence.samples - evidence.idle) * share),
-                rows=2 * information.windows,
+                rows=2 * sums.windows,
                 parameters=unknowns,
                 rank=unknowns,
                 condition=float(1.0 / np.min(fit.solution.variant.factor.diagonal)),
@@ -158,7 +138,7 @@ class FullMethod:
             statements=(
                 *(said for said in told if said.kind != "warning"),
                 *_statements(evidence, fit, inside, found),
-                *_on_effort(fit, information),
+                *_on_effort(fit, sums),
             ),
             fit=earlier,
             error_modes=_error_modes(frame, grid, enclosed(inside), everywhere, current, deviation),
@@ -202,6 +182,40 @@ class TrueFrame:
             np.stack([getattr(by_d, name)[:, 0], getattr(by_q, name)[:, 1]], axis=1) for name in ("column", "value")
         )
         return BasisRows(column, value)
+
+
+def _finished(evidence: Evidence) -> WindowSums:
+    """Return the sums of the fit; raises DataError where they are too few, or the rotor of a locked one turned."""
+    assert evidence.windows is not None
+    sums = evidence.windows.finished()
+    if sums.windows < sums.model.flux.parameters:
+        raise DataError(Message("few_windows", windows=sums.windows))
+    triangles = sums.triangles()
+    check_sums(triangles, sum(each[0] for each in triangles))  # those of the voltages come first
+    return _at_one_position(sums) if _locked(evidence) else sums
+
+
+def _fitted(evidence: Evidence, sums: WindowSums, earlier: EarlierFit | None) -> FullFit:
+    """Fit; raises DataError where signals are late by more than the fit follows, at once or bit by bit."""
+    fit = fit_full(
+        sums, evidence.settings, evidence.turn, evidence.current_variance, earlier,
+        angle_variance=evidence.angle_variance, interpolation_variance=evidence.interpolation_variance,
+    )  # fmt: skip
+    if (refused := effect_refused(fit)) is not None:
+        raise DataError(refused)
+    if (jump := fit.assessment.jump) is not None:
+        where = {"later": jump.later, "time": jump.time, "recording": jump.recording + 1}
+        if np.isfinite(jump.drift):
+            raise DataError(Message("fast_clock.unknown", drift=1e6 * abs(jump.drift), **where))
+        raise DataError(Message("delay_jump", **where))
+    return fit
+
+
+def _with_hidden_faults(fit: FullFit, changes: FloatArray) -> FullFit:
+    """Return the fit with errors by changes (size, K) of the estimate that faults of the sensors may cause."""
+    judged = fit.assessment
+    sources = (*["sensors"] * changes.shape[1], *judged.sources)
+    return replace(fit, assessment=replace(judged, changes=np.hstack([changes, judged.changes]), sources=sources))
 
 
 def _locked(evidence: Evidence) -> bool:

@@ -91,7 +91,7 @@ def choose(contents: Contents) -> tuple[list[Table], Choice]:
     tables = together([timed(_filled(part), contents) for part in parts])
     tables = [_onward(_distinct(table)) for table in tables]
     if not any(len(table.stamp) for table in tables):
-        tables = [numbered(table) for table in tables]
+        tables = [numbered(table, contents) for table in tables]
     tables = [table for table in tables if len(table.stamp) > FEWEST and table.columns]
     unread = [table.problem for table in contents.tables if table.problem and not table.columns]
     if unread and len(unread) == len(contents.tables):

@@ -54,6 +54,12 @@ _BITS = (16, 24, 32)
 """Widths of timers whose count starts again."""
 _TOGETHER = 0.01
 """Difference of the begins of times of one clock, by the span of the longest."""
+_OF_PERIOD = ("dt", "deltat", "sampleperiod", "samplingperiod", "sampleinterval", "samplinginterval")
+"""Names of the time between rows, s, without signs."""
+_OF_ANY = ("ts", "tsample", "sampletime", "period")
+"""Names of a sample time, s, of rows or of a control."""
+_OF_RATE = ("fs", "fsample", "samplerate", "samplingrate", "samplefrequency", "samplingfrequency")
+"""Names of a sample rate, Hz, likewise."""
 _MEANINGS = ("angle", "speed", "current", "voltage", "reference")
 
 
@@ -104,10 +110,32 @@ def _began(table: Table) -> int | None:
     return round(first) + (round(float(table.columns[both[1]][0]) * part_of_second(both[1])) if both else 0)
 
 
-def numbered(table: Table) -> Table:
-    """Return a table without a time column with stamps from row numbers, at a guessed rate."""
-    rows = len(next(iter(table.columns.values()), ()))
-    return replace(table, stamp=np.arange(rows) * round(1e9 * GUESSED_PERIOD), stamp_source=INDEX)
+def numbered(table: Table, contents: Contents) -> Table:
+    """Return a table without a time column with stamps from row numbers, at a rate that is stated or guessed."""
+    rows, stated = len(next(iter(table.columns.values()), ())), stated_period(contents)
+    period = stated.seconds if stated else GUESSED_PERIOD
+    return replace(table, stamp=np.rint(np.arange(rows) * (1e9 * period)).astype(np.int64), stamp_source=INDEX)
+
+
+class StatedPeriod(NamedTuple):
+    """Sample period that a log states beside its columns."""
+
+    seconds: float
+    name: str  # of what states it
+    sure: bool  # that it is of the rows: the sample time of a control is known by the same name
+
+
+def stated_period(contents: Contents) -> StatedPeriod | None:
+    """Return the sample period that single numbers of a log, such as ``fs``, state; None unless they agree."""
+    found = list[StatedPeriod]()
+    for name, value in contents.facts.items():
+        own = re.sub(r"[^a-z]", "", re.split(r"[./]", name)[-1].lower())
+        of_time = own in (*_OF_PERIOD, *_OF_ANY)
+        period = value if of_time else 1.0 / value if own in _OF_RATE and value > 0 else 0.0
+        if PERIODS[0] <= period <= PERIODS[1]:
+            found.append(StatedPeriod(period, name.strip("/"), own not in _OF_ANY))
+    found = [each for each in found if each.sure] or found
+    return found[0] if len({f"{each.seconds:.6g}" for each in found}) == 1 else None
 
 
 def by_own_time(table: Table) -> Iterator[Table]:

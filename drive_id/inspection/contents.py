@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -92,6 +92,7 @@ class Contents:
     kind: str  # "mcap", "sqlite3", "rosbag1", "csv", "parquet", "mat", "mat73", "hdf5", "mdf" or "tdms"
     tables: tuple[Table, ...]
     bounded: bool = True  # a fit reads it part by part
+    facts: Mapping[str, float] = field(default_factory=dict)  # single numbers beside its tables
 
     @property
     def is_bag(self) -> bool:
@@ -103,7 +104,8 @@ def read_contents(path: Path, signals: SignalMap | None = None) -> Contents:
     """Read the first rows of everything in a log; raises BagError when it is no log, or cannot be read."""
     if log_kind(path):
         with open_log(path) as log:
-            return Contents(path, log.kind, tuple(_of_group(log, group) for group in log.groups), log.bounded)
+            tables = tuple(_of_group(log, group) for group in log.groups)
+            return Contents(path, log.kind, tables, log.bounded, log.facts)
     with open_bag(path) as bag:
         kinds = "+".join(sorted({storage.kind for storage in bag.storages}))
         return Contents(path, kinds, tuple(_of_topics(bag, signals or SignalMap())))

@@ -15,7 +15,15 @@ from drive_id.core.signals.matching import nearest
 from drive_id.errors import ConfigurationError
 from drive_id.files.messages.signal_sources import SPEED_UNITS
 from drive_id.inspection.choice import TURNS, Choice, blank_columns, choose
-from drive_id.inspection.clock import GUESSED_PERIOD, INDEX, JITTER, TimeColumn, regular_stamps, time_column
+from drive_id.inspection.clock import (
+    GUESSED_PERIOD,
+    INDEX,
+    JITTER,
+    TimeColumn,
+    regular_stamps,
+    stated_period,
+    time_column,
+)
 from drive_id.inspection.contents import Contents, Table
 from drive_id.inspection.names import (
     begin_alike,
@@ -197,7 +205,8 @@ class _DraftText:
             return [f"topic: {table.name}", *(["stamp: log_time"] if table.stamp_source == "log_time" else [])]
         found = [f"group: {quoted(table.name)}"] if table.name and len(self._contents.tables) > 1 else []
         if table.stamp_source == INDEX:
-            found += ["stamp: index", f"sample_period: {GUESSED_PERIOD:g}"]
+            stated = stated_period(self._contents)
+            found += ["stamp: index", f"sample_period: {stated.seconds if stated else GUESSED_PERIOD:g}"]
         elif table.stamp_source not in ("", "own"):
             time = time_column(table) or TimeColumn(table.stamp_source)
             found += time.settings(table.columns[time.name])
@@ -209,7 +218,10 @@ class _DraftText:
         time = time_column(table) if table.stamp_source in table.columns else None
         guessed = time is not None and not time.stated
         said = ""
-        if table.stamp_source == INDEX:
+        if table.stamp_source == INDEX and (stated := stated_period(self._contents)):
+            name = printable(stated.name)
+            found[-1] += f"    # s, by {name}" if stated.sure else f"    # EDIT: s, by {name}, if that is of the rows"
+        elif table.stamp_source == INDEX:
             found[-1] += "         # EDIT: s; no column shows the time of a row"
             said = (
                 "No column shows the time of a row: set sample_period in every section to the time between rows (the "

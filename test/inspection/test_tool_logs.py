@@ -38,6 +38,10 @@ def stretched(columns, period, start=0.0):
     return columns | {"t": start + period * np.arange(N)}
 
 
+def timeless(columns):
+    return {name: x for name, x in columns.items() if name != "t"}
+
+
 def drafted(path):
     """Return what the proposed signals file reads, with its text and warnings."""
     draft = check(path).draft
@@ -113,6 +117,15 @@ TOOLS = {  # writer, sample period, s, and missing samples
     "lvm.gz": (lambda p, c: tool_logs.packed(p / "a.lvm.gz", tool_logs.labview, c), 1e-4, 0),
     "npz": (lambda p, c: tool_logs.npz(p / "a.npz", c), 1e-4, 0),
     "npz with a structured array, any name": (lambda p, c: tool_logs.structured_npz(p / "a.dat", c), 1e-4, 0),
+    "npz without times, a rate beside": (
+        lambda p, c: tool_logs.npz(p / "a.npz", timeless(c) | {"fs": np.array(8000.0)}), 1.25e-4, 0,
+    ),
+    "HDF5 without times, a step as attribute": (
+        lambda p, c: tool_logs.hdf5(p / "a.h5", timeless(c), {"version": 2}, {"dt": 8e-5, "unit": "1"}), 8e-5, 0,
+    ),
+    "HDF5 without times, the rates of log and control": (
+        lambda p, c: tool_logs.hdf5(p / "a.h5", timeless(c), {"sample_rate": 4000, "Ts": 1e-4}, {}), 2.5e-4, 0,
+    ),
     "JSON lines": (lambda p, c: tool_logs.json_lines(p / "a.jsonl", c), 1e-4, 0),
     "JSON lines, packed": (lambda p, c: tool_logs.packed(p / "a.jsonl.gz", tool_logs.json_lines, c), 1e-4, 0),
     "Feather": (lambda p, c: tool_logs.feather(p / "a.feather", stretched(c, 2e-4)), 2e-4, 0),
@@ -194,6 +207,16 @@ def test_logs_of_other_tools(tool, tmp_path, samples, columns):
     assert_same(found, samples, period, missing=missing)
     assert ("values_missing" in warnings) == (bool(missing) and not tool.startswith("lost rows"))
     assert ("gaps" in warnings) == bool(missing)
+
+
+@pytest.mark.parametrize("beside", [{"Ts": 1.25e-4}, {"fs": 8000.0, "dt": 1e-4}, {"fs": 8.0}])
+def test_a_sample_time_that_may_be_another_one_is_a_guess(tmp_path, columns, beside):
+    """Of a control, contradicted, or in other units."""
+    path = tool_logs.npz(tmp_path / "a.npz", timeless(columns) | {name: np.array(x) for name, x in beside.items()})
+    found, draft, warnings = drafted(path)
+    assert found.sample_period == pytest.approx(beside.get("Ts", 1e-4))
+    assert "guessed_setting" in warnings
+    assert "# EDIT: s" in draft.text
 
 
 def test_a_channel_without_a_valid_value_is_named(tmp_path, columns):

@@ -180,6 +180,17 @@ def parquet(path: Path, columns: Columns, zone: str = "") -> Path:
     return path
 
 
+def hdf5(path: Path, columns: Columns, of_file: Mapping[str, float], of_each: Mapping[str, float]) -> Path:
+    """Write a dataset for each column, with attributes."""
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        file.attrs.update(of_file)
+        for name, x in columns.items():
+            file.create_dataset(f"log/{name}", data=x).attrs.update(of_each)
+    return path
+
+
 def npz(path: Path, columns: Columns) -> Path:
     with path.open("wb") as stream:
         np.savez_compressed(stream, **columns)

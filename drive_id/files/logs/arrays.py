@@ -41,6 +41,7 @@ class _HeldLog(SlicedLog):
         self.path = path
         self._arrays: dict[str, NDArray[Any]] = {}
         self._units: dict[str, Any] = {}  # what the file says of them
+        self.facts: dict[str, float] = {}
         for name, value in arrays.items():
             self._take(name, value)
         self.groups = grouped(
@@ -53,6 +54,7 @@ class _HeldLog(SlicedLog):
             for field in array.dtype.names:
                 self._take(f"{name}.{field}", array[field])
             return
+        self.facts |= _fact(name, array)
         if array.dtype.kind not in NUMBERS or array.ndim not in (1, 2):
             return
         if array.ndim == 1:
@@ -121,6 +123,12 @@ class MatLog(_HeldLog):
             self._take(f"{name}.{field}", entry)
 
 
+def _fact(name: str, value: Any) -> dict[str, float]:
+    """Return a single number by its name; nothing for anything else."""
+    array = np.asarray(value)
+    return {name: float(array.item())} if array.size == 1 and array.dtype.kind in NUMBERS else {}
+
+
 def _is_opaque(value: Any) -> bool:
     """Tell whether a variable is an object of MATLAB, such as a table, whose content scipy does not show."""
     return {"s0", "s1", "s2"} <= set(getattr(getattr(value, "dtype", None), "names", None) or ())
@@ -147,10 +155,15 @@ class Hdf5Log(SlicedLog):
         self._file = h5py.File(path, "r")
         self._where: dict[str, tuple[str, int | None, int]] = {}  # dataset, its column or None, axis of time
         self._lengths: dict[str, tuple[str, int]] = {}
+        self.facts: dict[str, float] = {}
         objects: list[str] = []
-        separator = "." if matlab else "/"
+        separator, numbers = "." if matlab else "/", (h5py.h5t.INTEGER, h5py.h5t.FLOAT)
 
         def take(name: str, item: Any) -> None:
+            for said in item.attrs:
+                known = item.attrs.get_id(said)  # others may be of types that cannot be read
+                if known.get_type().get_class() in numbers and known.get_space().get_simple_extent_npoints() == 1:
+                    self.facts |= _fact(f"{name}/{said}", item.attrs[said])
             if isinstance(item, h5py.Dataset) and not name.startswith("#"):
                 created = item.id.get_create_plist()  # the shape of a virtual dataset opens other files
                 if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
@@ -161,9 +174,12 @@ class Hdf5Log(SlicedLog):
                 if _DECODED in item.attrs:
                     objects.append(_class_name(item.attrs.get("MATLAB_class", "")))
                 else:
+                    if item.size == 1:
+                        self.facts |= _fact(name, item[()])
                     self._take(name, name.replace("/", separator), item)
 
         try:
+            take("", self._file)
             self._file.visititems(take)
         except BaseException:
             self._file.close()

@@ -5,10 +5,11 @@ from __future__ import annotations
 import difflib
 import re
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
@@ -89,6 +90,8 @@ class ColumnLog(ABC):
     """Whether the file is read part by part; otherwise it is held in memory as a whole."""
     checked = False
     """Whether checksums cover the samples."""
+    facts: Mapping[str, float] = MappingProxyType({})
+    """Single numbers beside the columns, by name, such as ``fs``."""
     warnings: tuple[Message, ...] = ()
     """As of a bag, which has several files, too."""
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import html
 import math
+import numbers
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -107,8 +108,14 @@ class Samples:
     turned: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
-        n = len(self.stamp)
-        shapes: dict[str, tuple[int, ...]] = {"i_abc": (n, 3), "u_abc": (n, 3), "angle": (n,), "speed": (n,)}
+        n = np.size(self.stamp)
+        shapes: dict[str, tuple[int, ...]] = {
+            "stamp": (n,),
+            "i_abc": (n, 3),
+            "u_abc": (n, 3),
+            "angle": (n,),
+            "speed": (n,),
+        }
         if self.i_dq_reference is not None:
             shapes["i_dq_reference"] = (n, 2)
         shapes |= dict.fromkeys(self.scalars(), (n,))
@@ -119,10 +126,11 @@ class Samples:
             if values.shape != shape:
                 said = f"{name} has shape {values.shape} where {n} stamps need {shape}"
                 raise DataError(f"{said}: pass arrays of equal length.")
-            object.__setattr__(self, name, _read_only(values, np.float64))
+            if name != "stamp":
+                object.__setattr__(self, name, _read_only(values, np.float64))
         for name in ("stamp", "run_starts"):
             object.__setattr__(self, name, _read_only(np.asarray(getattr(self, name)), np.int64))
-        if not (np.isfinite(self.sample_period) and self.sample_period > 0):
+        if not (isinstance(self.sample_period, numbers.Real) and 0 < self.sample_period < math.inf):
             raise DataError(f"The sample period is {self.sample_period} s: it must be a positive number of seconds.")
         if n == 0:
             raise DataError("There are no samples: check that the three signals overlap in time.")

@@ -139,7 +139,7 @@ def test_settings_signals_and_stored_settings_are_used(bag, tmp_path):
             {},
             "drive_id.fit cannot read recordings from a DataFrame: give paths or Samples.",
         ),
-        ("none", {"signals": {"currents": {}}}, "signals is a dict: give the path of a signals file"),
+        ("none", {"signals": {"currents": {}}}, "signals is of type dict: give the path of a signals file"),
         ("none.info", {}, "none.info cannot be read"),
         ("none", {"signals": "none.yaml"}, "none.yaml"),
         ("none", {"workers": 0}, "The number of workers is 0: give 1 or more."),

@@ -15,6 +15,7 @@ from drive_id.analysis.maps import CurrentMaps
 from drive_id.analysis.operation import Operation, OperationErrors, changes
 from drive_id.analysis.settings import AnalysisSettings
 from drive_id.analysis.trajectories import CurrentLocus, characteristic_current, mtpa, mtpa_angle_changes, mtpv
+from drive_id.common.arguments import expect
 from drive_id.common.messages import Message
 from drive_id.common.temperature import REFERENCE_TEMPERATURE
 from drive_id.errors import ConfigurationError, DataError
@@ -56,7 +57,8 @@ def analyze(result: Result | str | Path, settings: AnalysisSettings | None = Non
         When the map has hardly any data, or gives no torque.
     """
     found = result if isinstance(result, Result) else Result.load(result)
-    chosen = settings or AnalysisSettings()
+    chosen = AnalysisSettings() if settings is None else settings
+    expect(chosen, AnalysisSettings, "settings", "give drive_id.AnalysisSettings(temperature=..., ...)")
     model = MachineModel.of(
         found,
         temperature=chosen.temperature,

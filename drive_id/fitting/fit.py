@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from drive_id.common.arguments import expect
 from drive_id.common.messages import Message
 from drive_id.common.origins import ORIGINS, STATIC
 from drive_id.core.accumulation.accumulated import Accumulated
@@ -145,10 +146,7 @@ def _divided(recordings: object) -> tuple[list[Path], list[Samples | OperatingDa
 
 def _chosen(settings: object, samples: Sequence[Samples | OperatingData], **options: Any) -> dict[str, Any]:
     """Return what replaces a setting: the options that are given, and method static for OperatingData alone."""
-    if not isinstance(settings, FitSettings | None):
-        raise ConfigurationError(
-            f"settings is a {type(settings).__name__}: give drive_id.FitSettings(method=..., ...)."
-        )
+    expect(settings, (FitSettings, type(None)), "settings", "give drive_id.FitSettings(method=..., ...)")
     given = {name: value for name, value in options.items() if value is not None}
     if settings is None and any(isinstance(entry, OperatingData) for entry in samples):
         given.setdefault("method", STATIC.name)

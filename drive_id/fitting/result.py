@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from drive_id.common.arguments import path_of
 from drive_id.files.results.identification import write_results
 from drive_id.result.result import Result
 
@@ -72,7 +73,7 @@ class Identification(Result):
         OutputError
             When the folder is not ours to write, or cannot be written.
         """
-        compared = draw or report or "diagnostics" in self.__dict__
+        target, compared = path_of(directory, "directory"), draw or report or "diagnostics" in self.__dict__
         judged = self.diagnostics if compared else self._judged(compared=False)
         files: dict[str, bytes] = {}
         if draw or report:
@@ -84,7 +85,6 @@ class Identification(Result):
             from drive_id.reporting.page.report import report_files  # noqa: PLC0415  # only it needs plotly and jinja2
 
             files |= report_files(self)
-        target = Path(directory)
         write_results(target, self.drive, self.provenance, force=force, pictures=files, diagnostics=judged)
 
     def report(self, path: str | Path, *, pdf: bool = False) -> tuple[Path, ...]:
@@ -109,7 +109,7 @@ class Identification(Result):
         """
         from drive_id.reporting.page.report import write_report  # noqa: PLC0415  # matplotlib takes half a second
 
-        return write_report(self, Path(path), pdf=pdf)
+        return write_report(self, path_of(path), pdf=pdf)
 
     def plot(self, ax: Sequence[Axes] | None = None, *, style: str = "screen") -> Figure:
         """Draw both flux linkages over the current plane, and the trajectory where excerpts of it are kept.

@@ -17,6 +17,7 @@ from drive_id.bench.machines import machine_map
 from drive_id.bench.scalars import scalar_strides
 from drive_id.bench.settings import SimulationSettings
 from drive_id.bench.swing import Swing, simulate_swing
+from drive_id.common.arguments import expect, path_of
 from drive_id.common.settings import from_mapping
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.planning.settings import PlanSettings, RoughMachine
@@ -84,13 +85,15 @@ def simulate(
         "i_max": i_max,
     }
     given = {name: value for name, value in options.items() if value is not None}
-    chosen = from_mapping(SimulationSettings, asdict(settings or SimulationSettings()) | given, "the arguments")
+    settings = SimulationSettings() if settings is None else settings
+    expect(settings, SimulationSettings, "settings", "give drive_id.SimulationSettings(speeds=..., ...)")
+    chosen = from_mapping(SimulationSettings, asdict(settings) | given, "the arguments")
     if isinstance(machine, Identification):
         found = machine.to_machine()
     elif isinstance(machine, MachineMap):
         found = machine
     else:
-        found = load_machine(os.fspath(machine))
+        found = load_machine(str(path_of(machine, "machine")))
     simulation = run_experiment(found, chosen, trajectory, seconds)
     return replace(simulation.samples, truth=simulation.truth)
 

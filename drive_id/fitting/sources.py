@@ -14,10 +14,11 @@ from contextlib import closing, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
+from drive_id.common.arguments import path_of
 from drive_id.common.messages import Message
 from drive_id.common.origins import ORIGINS
 from drive_id.core.accumulation.accumulated import Accumulated, bounded
@@ -117,7 +118,9 @@ def read_bag(
     DriveIdError
         When a bag cannot be read, or its signals cannot be joined.
     """
-    paths = [Path(bag)] if isinstance(bag, (str, os.PathLike)) else [Path(entry) for entry in bag]
+    one = isinstance(bag, (str, os.PathLike)) or not isinstance(bag, Iterable)
+    given: Any = [bag] if one else bag
+    paths = [path_of(entry, "bag") for entry in given]
     signal_map = signals_of(signals)
     recording = read_recording(paths, signal_map, namespace=namespace)
     for text in recording.warnings:

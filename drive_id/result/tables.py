@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from drive_id.common.arguments import expect
 from drive_id.core.maps.flux_map import FluxMap
 from drive_id.errors import ConfigurationError
 from drive_id.types import Samples
@@ -46,6 +47,7 @@ def map_dataset(flux_map: FluxMap, attributes: Mapping[str, Any]) -> xr.Dataset:
 
 def samples_frame(samples: Samples) -> pd.DataFrame:
     """Return samples as rows over the time since the first, s; column ``run`` counts the gap-free runs."""
+    expect(samples, Samples, "samples", "give drive_id.Samples, as of drive_id.read_bag")
     pandas = pandas_library()
     columns: dict[str, Any] = {
         f"{name}_{phase}": x[:, k]

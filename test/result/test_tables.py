@@ -114,9 +114,37 @@ def test_wrong_types_are_told_in_a_sentence(samples, result):
     for currents in ("1 A", 1j, [[1.0], [2.0, 3.0]]):
         with pytest.raises(drive_id.DriveIdError, match="i_d and i_q are not real currents"):
             result.flux_map.psi_dq(currents, 0.0)
-    with pytest.raises(drive_id.DriveIdError, match=r"settings is a dict: give drive_id.FitSettings"):
+    with pytest.raises(drive_id.DriveIdError, match=r"settings is of type dict: give drive_id.FitSettings"):
         drive_id.fit(samples, settings={"method": "joint"})
     with pytest.raises(drive_id.DriveIdError, match="speed holds values of type complex128: pass real numbers"):
         drive_id.Samples(samples.stamp, samples.i_abc, samples.u_abc, samples.angle, samples.speed * 1j, 1e-4)
+    with pytest.raises(drive_id.DriveIdError, match="must be a positive number of seconds"):
+        replace(samples, sample_period="1e-4")
+    for name in ("stamp", "angle"):
+        with pytest.raises(drive_id.DriveIdError, match=rf"{name} has shape \(\) where"):
+            replace(samples, **{name: 5})
+    with pytest.raises(drive_id.DriveIdError, match=r"speed has shape \(\): give a speed for each sample"):
+        drive_id.OperatingData(np.zeros((3, 2)), np.zeros((3, 2)), 300.0)
     lists = [values[:50].tolist() for values in (samples.stamp, samples.i_abc, samples.u_abc, samples.angle)]
     assert len(drive_id.Samples(*lists, [52.0] * 50, 1e-4, [0])) == 50
+
+
+@pytest.mark.parametrize(
+    ("call", "said"),
+    [
+        (lambda _: drive_id.plan(None), r"settings is of type NoneType: give drive_id\.PlanSettings"),
+        (lambda r: drive_id.analyze(r, 5), r"settings is of type int: give drive_id\.AnalysisSettings"),
+        (lambda _: drive_id.simulate(settings=5), r"settings is of type int: give drive_id\.SimulationSettings"),
+        (lambda _: drive_id.simulate(5), "machine is of type int: give a str or Path"),
+        (drive_id.samples_frame, "samples is of type Identification: give drive_id.Samples"),
+        (lambda _: drive_id.read_bag(5), "bag is of type int: give a str or Path"),
+        (lambda _: drive_id.read_bag([None]), "bag is of type NoneType: give a str or Path"),
+        (lambda _: drive_id.import_map(None), "source is of type NoneType: give a str or Path"),
+        (lambda r: drive_id.export(r, "csv", 5), "path is of type int: give a str or Path"),
+        (lambda r: drive_id.report(r, None), "path is of type NoneType: give a str or Path"),
+        (lambda r: r.save(5), "directory is of type int: give a str or Path"),
+    ],
+)
+def test_arguments_of_another_kind_are_told_in_a_sentence(call, said, result):
+    with pytest.raises(drive_id.DriveIdError, match=said):
+        call(result)

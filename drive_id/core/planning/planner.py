@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from drive_id.common.arguments import expect
 from drive_id.core.experiment.trajectories import Lissajous
 from drive_id.core.frames import space_vector
 from drive_id.core.full.windows import LONGEST_WINDOW, WINDOW_ANGLE
@@ -157,6 +158,7 @@ def plan(settings: PlanSettings, tell: Progress = silent) -> Plan:
     ConfigurationError
         When data are missing, or the bench cannot cover the disc.
     """
+    expect(settings, PlanSettings, "settings", "give drive_id.PlanSettings(i_max=..., ...)")
     machine = RoughMachine.from_settings(settings)
     highest = highest_frequency(settings, machine)
     low, high = speed_range(settings, machine, highest)

@@ -50,6 +50,8 @@ class OperatingData:
     winding_temperature: FloatArray | None = None
 
     def __post_init__(self) -> None:
+        if np.ndim(self.speed) != 1:
+            raise DataError(f"speed has shape {np.shape(self.speed)}: give a speed for each sample.")
         n = len(self.speed)
         shapes: dict[str, tuple[int, ...]] = {"i_dq": (n, 2), "u_dq": (n, 2), "speed": (n,)}
         shapes |= {name: (n,) for name in ("time", "winding_temperature") if getattr(self, name) is not None}

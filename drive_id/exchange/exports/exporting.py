@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drive_id.common.arguments import path_of
 from drive_id.core.maps.flux_models import positive_definite
 from drive_id.errors import CoverageError, OutputError
 from drive_id.exchange.exports.formats import export_format
@@ -93,7 +94,7 @@ def export_map(
         See :func:`content_of`.
     """
     result = result if isinstance(result, Result) else Result.load(result)
-    path, usual = Path(path), export_format(name).suffix
+    path, usual = path_of(path), export_format(name).suffix
     if path.suffix.lower() != usual:
         said = f"ends in {path.suffix}" if path.suffix else "has no suffix"
         raise OutputError(f"{path} {said}, but --format {name} writes {usual} files: name it {path.stem}{usual}.")

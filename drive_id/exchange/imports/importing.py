@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from drive_id.common.arguments import path_of
 from drive_id.common.messages import Message
 from drive_id.common.origins import IMPORTED
 from drive_id.core.fit_settings import FitSettings
@@ -46,7 +47,7 @@ def import_map(source: Source | str | Path) -> Identification:
         When the file cannot be read, or holds a map that no machine has; the message names the options that would make
         it plausible.
     """
-    source = source if isinstance(source, Source) else Source(Path(source))
+    source = source if isinstance(source, Source) else Source(path_of(source, "source"))
     name = format_of(source)
 
     def read(order: str) -> MapPoints:

@@ -16,6 +16,7 @@ from typing import Any, TypeVar
 
 import yaml
 
+from drive_id.common.arguments import path_of
 from drive_id.common.settings import from_mapping
 from drive_id.errors import ConfigurationError
 from drive_id.files.inputs.input_file import read_text_input, reason
@@ -61,9 +62,7 @@ def signals_of(given: str | os.PathLike[str] | SignalMap | None) -> SignalMap | 
     """
     if given is None or isinstance(given, SignalMap):
         return given
-    if isinstance(given, (str, os.PathLike)):
-        return read_signals(Path(given))
-    raise ConfigurationError(f"signals is a {type(given).__name__}: give the path of a signals file.")
+    return read_signals(path_of(given, "signals", "give the path of a signals file"))
 
 
 def read_signals(path: Path) -> SignalMap:

@@ -79,6 +79,11 @@ def without(columns, name, count):
     return columns | {name: x}
 
 
+def filled(columns, count, value, *names):
+    """Return columns in which a number stands for missing values."""
+    return columns | {name: np.nan_to_num(without(columns, name, count)[name], nan=value) for name in names}
+
+
 TOOLS = {  # writer, sample period, s, and missing samples
     "LabVIEW, decimal commas": (lambda p, c: tool_logs.labview(p / "a.lvm", c), 1e-4, 0),
     "LabVIEW without times": (lambda p, c: tool_logs.labview(p / "a.txt", stretched(c, 5e-5), times=False), 5e-5, 0),
@@ -192,6 +197,14 @@ TOOLS = {  # writer, sample period, s, and missing samples
     "words for missing values": (
         lambda p, c: tool_logs.csv(p / "a.csv", without(c, "ia", 40), blank="OVR"), 1e-4, 40,
     ),
+    "stand-ins of a logger": (lambda p, c: tool_logs.csv(p / "a.csv", filled(c, 40, -9999.0, "ia", "uc")), 1e-4, 40),
+    "stand-ins in the angle": (lambda p, c: tool_logs.csv(p / "a.csv", filled(c, 7, 1e30, "theta")), 1e-4, 7),
+    "stand-ins of an integer type": (
+        lambda p, c: tool_logs.npz(p / "a.npz", {n: x if n == "t" else np.float32(x) for n, x in filled(
+            c, 12, 32767.0, "ub").items()}), 1e-4, 12,
+    ),
+    "Parquet of structs": (lambda p, c: tool_logs.nested(p / "a.parquet", c, structs=True), 1e-4, 0),
+    "Feather of lists": (lambda p, c: tool_logs.nested(p / "a.feather", c, structs=False), 1e-4, 0),
     "nulls of Parquet": (lambda p, c: tool_logs.parquet(p / "a.parquet", without(c, "uc", 33)), 1e-4, 33),
     "nulls of JSON": (lambda p, c: tool_logs.json_lines(p / "a.jsonl", without(c, "ib", 12)), 1e-4, 12),
     "four digits from 10 s at 8 kHz": (
@@ -205,7 +218,7 @@ def test_logs_of_other_tools(tool, tmp_path, samples, columns):
     write, period, missing = TOOLS[tool]
     found, _, warnings = drafted(write(tmp_path, columns))
     assert_same(found, samples, period, missing=missing)
-    assert ("values_missing" in warnings) == (bool(missing) and not tool.startswith("lost rows"))
+    assert ("values_missing" in warnings) == (bool(missing) and not tool.startswith(("lost rows", "stand-ins in the")))
     assert ("gaps" in warnings) == bool(missing)
 
 

@@ -180,6 +180,25 @@ def parquet(path: Path, columns: Columns, zone: str = "") -> Path:
     return path
 
 
+def nested(path: Path, columns: Columns, *, structs: bool) -> Path:
+    """Write the phases of currents and voltages as one column each: of structs to Parquet, of lists to Feather."""
+    import pyarrow as pa
+    import pyarrow.parquet
+    from pyarrow import feather as feather_file
+
+    def together(phases: list[str]) -> pa.Array:
+        arrays = [pa.array(columns[name]) for name in phases]
+        if structs:
+            return pa.StructArray.from_arrays(arrays, names=["a", "b", "c"])
+        return pa.array(np.column_stack(arrays).tolist())
+
+    names = {"i": ["ia", "ib", "ic"], "u": ["ua", "ub", "uc"]}
+    plain = {name: pa.array(columns[name]) for name in ("t", "theta")}
+    table = pa.table(plain | {name: together(phases) for name, phases in names.items()})
+    (pyarrow.parquet.write_table if structs else feather_file.write_feather)(table, path)
+    return path
+
+
 def hdf5(path: Path, columns: Columns, of_file: Mapping[str, float], of_each: Mapping[str, float]) -> Path:
     """Write a dataset for each column, with attributes."""
     import h5py

@@ -12,6 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
 from numpy.typing import NDArray
 
 from drive_id.common.messages import Message
@@ -25,6 +26,13 @@ NUMBERS = "iufb"
 """Kinds of numpy's types that are numbers."""
 _NUMBER = 8
 """Bytes."""
+_FILLS = np.array(
+    [999.0, 999.25, 9999.0, 99999.0, 999999.0, 1e20, 1e30, 1e36, 1e37, 9.969209968386869e36, 3.4028234663852886e38,
+     32767.0, 32768.0, 65535.0, 2.0**31 - 1, 2.0**31, 2.0**32 - 1],
+)  # fmt: skip
+"""Sizes of numbers that tools write where they have none: of loggers, of netCDF, and the ends of number types."""
+_SINGLE, _FAR, _MOST_FILLS = 1e-6, 3.0, 3
+"""Relative rounding of single precision, the least ratio to all other values, and most such numbers in one column."""
 _NAMES = {
     "jsonl": "JSON lines",
     "npz": "NumPy .npz",
@@ -103,7 +111,11 @@ class ColumnLog(ABC):
         with one_sentence(self.path, self.kind):
             lengths = {group.name: group.rows or 0 for group in self.groups}
             UnpackBudget(self.path.stat().st_size).take(_NUMBER * sum(lengths[column.group] for column in wanted))
-            yield from self._parts(wanted, rows)
+            for part in self._parts(wanted, rows):
+                values = {
+                    column: x if column.name == OWN_TIME else without_fills(x) for column, x in part.values.items()
+                }
+                yield part._replace(values=values)
 
     @abstractmethod
     def _parts(self, wanted: Sequence[Column], rows: int) -> Iterator[Rows]:
@@ -113,6 +125,25 @@ class ColumnLog(ABC):
         """Release the file."""
         if self._file is not None:
             self._file.close()
+
+
+def without_fills(values: NDArray[Any]) -> NDArray[Any]:
+    """Return values (N,) in which a number that tools write where they have none, such as -9999, is NaN.
+
+    It is a known one, and far beyond all others.
+    """
+    if values.dtype.kind not in "iuf":
+        return values
+    for _ in range(_MOST_FILLS):
+        size = np.abs(values.astype(np.float64))
+        largest = np.max(size, initial=0.0, where=np.isfinite(size))
+        of_fill = size == largest
+        rest = np.max(size, initial=0.0, where=np.isfinite(size) & ~of_fill)
+        known = np.any(np.isclose(largest, _FILLS, rtol=_SINGLE, atol=0.0))
+        if not known or _FAR * rest > largest or 2 * np.count_nonzero(of_fill) > len(values):
+            break
+        values = np.where(of_fill, np.nan, values)
+    return values
 
 
 class SlicedLog(ColumnLog):

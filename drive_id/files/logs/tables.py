@@ -150,7 +150,7 @@ class JsonLog(FrameLog):
 
 
 class ArrowLog(FrameLog):
-    """A Parquet or Feather file."""
+    """A Parquet or Feather file; numbers in structs are ``i.a``, and those of short lists ``i[0]``."""
 
     def __init__(self, path: Path, kind: str) -> None:
         self.path = path
@@ -167,26 +167,61 @@ class ArrowLog(FrameLog):
 
                 self._arrow, rows = ipc.open_file(stream), None
                 schema = self._arrow.schema
+            self._within: dict[str, tuple[str, Any]] = {}  # column, and its name or number there
+            columns = {name: kind for field in schema for name, kind in self._columns(field)}
             self._open = stack.pop_all()
-        columns = {field.name: typed(field.type, *_units(field.metadata or {})) for field in schema}
         self.groups = (ColumnGroup("", columns, rows),)
+
+    def _columns(self, field: Any) -> Iterator[tuple[str, str]]:
+        """Yield names and types of the columns of a field."""
+        units, keys = _units(field.metadata or {}), list[tuple[str, Any, Any]]()
+        if hasattr(field.type, "value_type"):
+            keys = [(f"{field.name}[{k}]", k, field.type.value_type) for k in range(self._width(field.name))]
+        elif field.type.num_fields:
+            keys = [(f"{field.name}.{child.name}", child.name, child.type) for child in field.type]
+        for name, key, kind in keys:
+            self._within[name] = field.name, key
+            yield name, typed(kind, *units)
+        if not keys:
+            yield field.name, typed(field.type, *units)
+
+    def _width(self, name: str) -> int:
+        """Return the number of entries of the lists of a column, 0 for long ones and those of different lengths."""
+        first = next(self._batches([name], _FIRST_LINES), (None, 0.0))[0]
+        lengths = {len(entry) for entry in first.column(0).to_pylist() if entry is not None} if first else set()
+        return lengths.pop() if len(lengths) == 1 and max(lengths) <= _LONGEST_LIST else 0
 
     def close(self) -> None:
         """Release the file."""
         self._open.close()
 
     def _frames(self, names: list[str], rows: int) -> Iterator[tuple[Any, float]]:
+        import pyarrow.compute  # noqa: PLC0415  # likewise
+
+        read = list(dict.fromkeys(self._within.get(name, (name, None))[0] for name in names))
+        plain = [name for name in names if name not in self._within]
+        for batch, share in self._batches(read, rows):
+            frame = batch.select(plain).to_pandas(ignore_metadata=True)
+            for name in names:
+                if name in self._within:
+                    column, key = self._within[name]
+                    part = pyarrow.compute.struct_field if isinstance(key, str) else pyarrow.compute.list_element
+                    frame[name] = part(batch.column(column), key).to_pandas()
+            yield frame, share
+
+    def _batches(self, names: list[str], rows: int) -> Iterator[tuple[Any, float]]:
+        """Yield some rows of these columns at a time, and the share of the file that has been read."""
         if self.kind == "parquet":
             total, done = max(self._arrow.metadata.num_rows, 1), 0
             for batch in self._arrow.iter_batches(batch_size=rows, columns=names):
                 done += batch.num_rows
-                yield batch.to_pandas(ignore_metadata=True), done / total
+                yield batch, done / total
             return
         count = self._arrow.num_record_batches
         for k in range(count):
             batch = self._arrow.get_batch(k).select(names)
             for start in range(0, batch.num_rows, rows):
-                yield batch.slice(start, rows).to_pandas(ignore_metadata=True), (k + 1) / count
+                yield batch.slice(start, rows), (k + 1) / count
 
 
 def _units(metadata: Mapping[bytes, bytes]) -> list[bytes]:

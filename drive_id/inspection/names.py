@@ -204,6 +204,11 @@ def _triples(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:
         for three, stem in _replaced(name):
             if known.issuperset(three):
                 yield NameGroup(three, "abc", stem)
+            for match in re.finditer(r"\d+", name):  # r69[0] Phase current U, r69[1] Phase current V
+                first, last = match.span()
+                both = tuple(f"{one[:first]}{int(match.group()) + k}{one[last:]}" for k, one in enumerate(three))
+                if known.issuperset(both):
+                    yield NameGroup(both, "abc", stem)
 
 
 def _two_phases(names: Sequence[str], known: set[str]) -> Iterator[NameGroup]:

@@ -621,6 +621,8 @@ def test_names():
         group.names for group in name_groups(["i_U [A]", "i_V [A]", "i_W [A]", "id", "iq", "x7", "x8", "x9", "ua"])
     }
     assert groups >= {("i_U [A]", "i_V [A]", "i_W [A]"), ("id", "iq"), ("x7", "x8", "x9")}
+    parameters = tuple(f"r69[{k}] Phase current {phase}" for k, phase in enumerate("UVW"))
+    assert [group.names for group in name_groups(["r62", *parameters])] == [parameters]
     assert suggests("phaseCurrent ", "current")
     assert suggests("V_bus", "dc")
     assert not suggests("speed", "angle")

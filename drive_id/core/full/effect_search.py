@@ -68,10 +68,10 @@ _SAME_DELAY = 1e-3
 _CLOSE, _INDIFFERENT = 0.05, 0.5 * _PRICE
 """Relative difference of savings, or of what is left, below which two effects explain the residuals equally well: a
 misfit of the map decides between the latter."""
-_LEFT = 2.0
-"""Squared residuals, by those of a set, from which on what leaves as much is no rival: where a delay saved 99.7 %,
-others that saved 97 to 99.4 % of that left 3 to 12 times as much, and the errors of a good map were 50 times too large.
-"""
+_OF_NOISE = 0.1
+"""Share of the squared residuals that is noise although it does not explain them. A rival leaves hardly more than that
+beyond what may be a misfit: where a delay at two speeds left no more than noise, others that saved 97 to 99.98 % of the
+same, and left 2 to 12 times as much, made the errors of a good map 20 to 50 times too large."""
 _FAR = 0.03
 """Angle, rad, by which late currents or a late angle turn the flux far enough for a linearization of their own."""
 _EVERY_SECOND = -0.25
@@ -422,16 +422,17 @@ def _about_its_best(
 def _taken(search: _Search, chosen: _Set) -> Iterator[Taken]:
     """Yield the members of a set, that which saves most first, with those that would explain nearly as much, likewise.
 
-    A delay is one of these if it turns the voltages by an angle that matters. What comes beside another effect has
+    They leave no more beyond the set than its misfit may be. A delay is one of these if it turns the voltages by an angle that matters. What comes beside another effect has
     none: that one tells it.
     """
     saved = {member: search.without(chosen, member).squares - chosen.squares for member in chosen.members}
+    misfit = max(chosen.squares - search.explained, 0.0)
     for member in sorted(saved, key=lambda name: -saved[name]):
         rivals = {
             name: share
             for name, other, share in search.exchanged(chosen, member)
             if (share > 1 - _CLOSE or search.alike(other, chosen))
-            and other.squares < _LEFT * (chosen.squares + search.rules.least)
+            and other.squares - chosen.squares < misfit + _OF_NOISE * (chosen.squares + search.rules.least)
             and member not in _BESIDE
             and (name != DELAY or Delay(other.delay, 0.0).significant(search.rules.turn))
         }

@@ -422,8 +422,8 @@ def _about_its_best(
 def _taken(search: _Search, chosen: _Set) -> Iterator[Taken]:
     """Yield the members of a set, that which saves most first, with those that would explain nearly as much, likewise.
 
-    They leave no more beyond the set than its misfit may be. A delay is one of these if it turns the voltages by an angle that matters. What comes beside another effect has
-    none: that one tells it.
+    They leave no more beyond the set than its misfit may be. A delay is one of these if it turns the voltages by an
+    angle that matters. What comes beside another effect has none: that one tells it.
     """
     saved = {member: search.without(chosen, member).squares - chosen.squares for member in chosen.members}
     misfit = max(chosen.squares - search.explained, 0.0)

@@ -108,14 +108,10 @@ class Samples:
     turned: frozenset[str] | None = None
 
     def __post_init__(self) -> None:
-        n = np.size(self.stamp)
-        shapes: dict[str, tuple[int, ...]] = {
-            "stamp": (n,),
-            "i_abc": (n, 3),
-            "u_abc": (n, 3),
-            "angle": (n,),
-            "speed": (n,),
-        }
+        if np.ndim(self.stamp) != 1:
+            raise DataError(f"stamp has shape {np.shape(self.stamp)}: give a stamp for each sample.")
+        n = len(self.stamp)
+        shapes: dict[str, tuple[int, ...]] = {"i_abc": (n, 3), "u_abc": (n, 3), "angle": (n,), "speed": (n,)}
         if self.i_dq_reference is not None:
             shapes["i_dq_reference"] = (n, 2)
         shapes |= dict.fromkeys(self.scalars(), (n,))
@@ -126,8 +122,7 @@ class Samples:
             if values.shape != shape:
                 said = f"{name} has shape {values.shape} where {n} stamps need {shape}"
                 raise DataError(f"{said}: pass arrays of equal length.")
-            if name != "stamp":
-                object.__setattr__(self, name, _read_only(values, np.float64))
+            object.__setattr__(self, name, _read_only(values, np.float64))
         for name in ("stamp", "run_starts"):
             object.__setattr__(self, name, _read_only(np.asarray(getattr(self, name)), np.int64))
         if not (isinstance(self.sample_period, numbers.Real) and 0 < self.sample_period < math.inf):

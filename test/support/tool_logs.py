@@ -181,7 +181,10 @@ def parquet(path: Path, columns: Columns, zone: str = "") -> Path:
 
 
 def nested(path: Path, columns: Columns, *, structs: bool) -> Path:
-    """Write the phases of currents and voltages as one column each: of structs to Parquet, of lists to Feather."""
+    """Write the phases of currents and voltages as one column each, of structs to Parquet and of lists to Feather.
+
+    A column of categories is beside them.
+    """
     import pyarrow as pa
     import pyarrow.parquet
     from pyarrow import feather as feather_file
@@ -194,6 +197,7 @@ def nested(path: Path, columns: Columns, *, structs: bool) -> Path:
 
     names = {"i": ["ia", "ib", "ic"], "u": ["ua", "ub", "uc"]}
     plain = {name: pa.array(columns[name]) for name in ("t", "theta")}
+    plain["mode"] = pa.array(["run"] * len(columns["t"])).dictionary_encode()
     table = pa.table(plain | {name: together(phases) for name, phases in names.items()})
     (pyarrow.parquet.write_table if structs else feather_file.write_feather)(table, path)
     return path

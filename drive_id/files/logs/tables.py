@@ -174,10 +174,12 @@ class ArrowLog(FrameLog):
 
     def _columns(self, field: Any) -> Iterator[tuple[str, str]]:
         """Yield names and types of the columns of a field."""
+        from pyarrow import types  # noqa: PLC0415  # likewise
+
         units, keys = _units(field.metadata or {}), list[tuple[str, Any, Any]]()
-        if hasattr(field.type, "value_type"):
+        if types.is_list(field.type) or types.is_large_list(field.type) or types.is_fixed_size_list(field.type):
             keys = [(f"{field.name}[{k}]", k, field.type.value_type) for k in range(self._width(field.name))]
-        elif field.type.num_fields:
+        elif types.is_struct(field.type):
             keys = [(f"{field.name}.{child.name}", child.name, child.type) for child in field.type]
         for name, key, kind in keys:
             self._within[name] = field.name, key

@@ -15,7 +15,7 @@ import pytest
 PACKAGE = Path(__file__).parent.parent / "drive_id"
 NOUNS = {"drive_id.errors", "drive_id.types"} | {
     f"drive_id.common.{name}"
-    for name in ("health", "interrupts", "messages", "origins", "quantity", "settings", "temperature", "version")
+    for name in "arguments health interrupts messages origins quantity settings temperature version".split()
 }
 ROS = {
     "action_msgs", "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch",
@@ -96,6 +96,7 @@ ROOMS = {
     "drive_id.common.temperature": Room.of(set(), set()),
     "drive_id.common.version": Room.of(set(), set()),
     "drive_id.common.settings": Room.of({"drive_id.errors"}, set()),
+    "drive_id.common.arguments": Room.of({"drive_id.errors"}, set()),
     "drive_id.core": Room.of(set(), set()),
     **{
         f"drive_id.core.{name}": Room.of(

@@ -340,6 +340,8 @@ def search_effects(
             rules = replace(rules, allowed=tuple(sorted(chosen.names - {weak})))
     delay = state.found.delay
     if chosen.delay != plain.delay:
+        if np.isnan(delay.sigma):  # of a set that was linearized as a rival
+            delay = estimate_delay(state.solver, rules.solved(state.solver, replace(chosen, delay=0.0)), noise)
         value = state.solution.spec.delay  # that of the fit, of which the set's differs by little
         delay = replace(delay, value=value, off=delay.value - value)
     elif turn > 0:

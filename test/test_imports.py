@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 
 PACKAGE = Path(__file__).parent.parent / "drive_id"
-NOUNS = {"drive_id.errors", "drive_id.types"} | {
-    f"drive_id.common.{name}"
-    for name in "arguments health interrupts messages origins quantity settings temperature version".split()
-}
+COMMON = (
+    "arguments", "health", "interrupts", "messages", "origins", "quantity", "settings", "temperature", "version",
+)  # fmt: skip
+NOUNS = {"drive_id.errors", "drive_id.types"} | {f"drive_id.common.{name}" for name in COMMON}
 ROS = {
     "action_msgs", "ament_index_python", "builtin_interfaces", "diagnostic_msgs", "drive_id_msgs", "launch",
     "launch_ros", "lifecycle_msgs", "rcl_interfaces", "rclpy", "rosgraph_msgs", "sensor_msgs", "std_msgs", "std_srvs",

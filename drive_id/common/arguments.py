@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import cast
 
 from drive_id.errors import ConfigurationError
 
@@ -16,6 +17,5 @@ def expect(value: object, kinds: type | tuple[type, ...], name: str, remedy: str
 
 def path_of(value: object, name: str = "path", remedy: str = "give a str or Path") -> Path:
     """Return the path that an argument is; raises ConfigurationError for anything else."""
-    if isinstance(value, (str, os.PathLike)):
-        return Path(value)
-    raise ConfigurationError(f"{name} is of type {type(value).__name__}: {remedy}.")
+    expect(value, (str, os.PathLike), name, remedy)
+    return Path(cast("str | os.PathLike[str]", value))

@@ -73,7 +73,8 @@ class Identification(Result):
         OutputError
             When the folder is not ours to write, or cannot be written.
         """
-        target, compared = path_of(directory, "directory"), draw or report or "diagnostics" in self.__dict__
+        target = path_of(directory, "directory")
+        compared = draw or report or "diagnostics" in self.__dict__
         judged = self.diagnostics if compared else self._judged(compared=False)
         files: dict[str, bytes] = {}
         if draw or report:

@@ -135,12 +135,14 @@ def without_fills(values: NDArray[Any]) -> NDArray[Any]:
     if values.dtype.kind not in "iuf":
         return values
     for _ in range(_MOST_FILLS):
-        size = np.abs(values.astype(np.float64))
-        largest = np.max(size, initial=0.0, where=np.isfinite(size))
+        size = np.abs(values, dtype=np.float64)
+        finite = np.isfinite(size)
+        largest = np.max(size, initial=0.0, where=finite)
+        if not np.isclose(largest, _FILLS, rtol=_SINGLE, atol=0.0).any():
+            break
         of_fill = size == largest
-        rest = np.max(size, initial=0.0, where=np.isfinite(size) & ~of_fill)
-        known = np.any(np.isclose(largest, _FILLS, rtol=_SINGLE, atol=0.0))
-        if not known or _FAR * rest > largest or 2 * np.count_nonzero(of_fill) > len(values):
+        rest = np.max(size, initial=0.0, where=finite & ~of_fill)
+        if _FAR * rest > largest or 2 * np.count_nonzero(of_fill) > len(values):
             break
         values = np.where(of_fill, np.nan, values)
     return values

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import re
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -167,7 +168,9 @@ class ArrowLog(FrameLog):
 
                 self._arrow, rows = ipc.open_file(stream), None
                 schema = self._arrow.schema
-            self._within: dict[str, tuple[str, Any]] = {}  # column, and its name or number there
+            self._within: dict[
+                str, tuple[str, Callable[[Any], Any]]
+            ] = {}  # the column that holds it, and how it is taken
             columns = {name: kind for field in schema for name, kind in self._columns(field)}
             self._open = stack.pop_all()
         self.groups = (ColumnGroup("", columns, rows),)
@@ -176,16 +179,18 @@ class ArrowLog(FrameLog):
         """Yield names and types of the columns of a field."""
         from pyarrow import types  # noqa: PLC0415  # likewise
 
-        units, keys = _units(field.metadata or {}), list[tuple[str, Any, Any]]()
-        if types.is_list(field.type) or types.is_large_list(field.type) or types.is_fixed_size_list(field.type):
-            keys = [(f"{field.name}[{k}]", k, field.type.value_type) for k in range(self._width(field.name))]
-        elif types.is_struct(field.type):
-            keys = [(f"{field.name}.{child.name}", child.name, child.type) for child in field.type]
-        for name, key, kind in keys:
-            self._within[name] = field.name, key
+        name, kind, units = field.name, field.type, _units(field.metadata or {})
+        lists = types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind)
+        parts = list[tuple[str, Any, Callable[[Any], Any]]]()
+        if lists and (width := self._width(name)):
+            parts = [(f"{name}[{k}]", kind.value_type, partial(_entry, k)) for k in range(width)]
+        elif types.is_struct(kind):
+            parts = [(f"{name}.{part.name}", part.type, partial(_member, part.name)) for part in kind]
+        for own, of_part, taken in parts:
+            self._within[own] = name, taken
+            yield own, typed(of_part, *units)
+        if not parts:
             yield name, typed(kind, *units)
-        if not keys:
-            yield field.name, typed(field.type, *units)
 
     def _width(self, name: str) -> int:
         """Return the number of entries of the lists of a column, 0 for long ones and those of different lengths."""
@@ -198,17 +203,13 @@ class ArrowLog(FrameLog):
         self._open.close()
 
     def _frames(self, names: list[str], rows: int) -> Iterator[tuple[Any, float]]:
-        import pyarrow.compute  # noqa: PLC0415  # likewise
-
         read = list(dict.fromkeys(self._within.get(name, (name, None))[0] for name in names))
         plain = [name for name in names if name not in self._within]
         for batch, share in self._batches(read, rows):
             frame = batch.select(plain).to_pandas(ignore_metadata=True)
-            for name in names:
-                if name in self._within:
-                    column, key = self._within[name]
-                    part = pyarrow.compute.struct_field if isinstance(key, str) else pyarrow.compute.list_element
-                    frame[name] = part(batch.column(column), key).to_pandas()
+            for name in self._within.keys() & names:
+                column, taken = self._within[name]
+                frame[name] = taken(batch.column(column)).to_pandas()
             yield frame, share
 
     def _batches(self, names: list[str], rows: int) -> Iterator[tuple[Any, float]]:
@@ -224,6 +225,20 @@ class ArrowLog(FrameLog):
             batch = self._arrow.get_batch(k).select(names)
             for start in range(0, batch.num_rows, rows):
                 yield batch.slice(start, rows), (k + 1) / count
+
+
+def _entry(k: int, lists: Any) -> Any:
+    """Return an entry of each list of a column."""
+    from pyarrow.compute import list_element  # noqa: PLC0415  # takes 35 ms, which plain columns do without
+
+    return list_element(lists, k)
+
+
+def _member(name: str, structs: Any) -> Any:
+    """Return a member of each struct of a column."""
+    from pyarrow.compute import struct_field  # noqa: PLC0415  # likewise
+
+    return struct_field(structs, name)
 
 
 def _units(metadata: Mapping[bytes, bytes]) -> list[bytes]:
